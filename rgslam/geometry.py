@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Planar rigid motions on rows (x, y, theta), vectorised.
+
+`compose(wTb, bTl)` is `wTb * bTl`; every function broadcasts over leading axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rgslam.types import FloatArray
+
+
+def wrap_angle(angle: FloatArray | float) -> FloatArray:
+    """Angle brought into [-pi, pi)."""
+    return np.mod(np.asarray(angle) + np.pi, 2.0 * np.pi) - np.pi
+
+
+def compose(aTb: FloatArray, bTc: FloatArray) -> FloatArray:
+    """aTc = aTb * bTc, shapes (..., 3)."""
+    aTb, bTc = np.asarray(aTb, float), np.asarray(bTc, float)
+    c, s = np.cos(aTb[..., 2]), np.sin(aTb[..., 2])
+    x = aTb[..., 0] + c * bTc[..., 0] - s * bTc[..., 1]
+    y = aTb[..., 1] + s * bTc[..., 0] + c * bTc[..., 1]
+    return np.stack([x, y, wrap_angle(aTb[..., 2] + bTc[..., 2])], axis=-1)
+
+
+def inverse(aTb: FloatArray) -> FloatArray:
+    """bTa, shape (..., 3)."""
+    aTb = np.asarray(aTb, float)
+    c, s = np.cos(aTb[..., 2]), np.sin(aTb[..., 2])
+    x = -c * aTb[..., 0] - s * aTb[..., 1]
+    y = s * aTb[..., 0] - c * aTb[..., 1]
+    return np.stack([x, y, wrap_angle(-aTb[..., 2])], axis=-1)
+
+
+def between(wTa: FloatArray, wTb: FloatArray) -> FloatArray:
+    """aTb = wTa^-1 * wTb, shapes (..., 3)."""
+    return compose(inverse(wTa), wTb)
+
+
+def transform_points(aTb: FloatArray, b_points: FloatArray) -> FloatArray:
+    """Points (n, 2) of frame b expressed in frame a."""
+    c, s = np.cos(aTb[2]), np.sin(aTb[2])
+    rotation = np.array([[c, -s], [s, c]])
+    return np.asarray(b_points) @ rotation.T + np.asarray(aTb[:2])
+
+
+def interpolate(wTa: FloatArray, wTb: FloatArray, fraction: FloatArray | float) -> FloatArray:
+    """Pose(s) at a fraction (0 = a, 1 = b) of the way, heading by the shorter turn."""
+    fraction = np.asarray(fraction, float)
+    xy = wTa[..., :2] + fraction[..., None] * (wTb[..., :2] - wTa[..., :2])
+    theta = wTa[..., 2] + fraction * wrap_angle(wTb[..., 2] - wTa[..., 2])
+    return np.concatenate([xy, wrap_angle(theta)[..., None]], axis=-1)
+
+
+def adjoint(aTb: FloatArray) -> FloatArray:
+    """Adjoint map (3, 3) of one pose: moves a tangent vector (x, y, theta) from frame b to frame a.
+
+    Same convention as `gtsam.Pose2.AdjointMap`.
+    """
+    c, s = np.cos(aTb[2]), np.sin(aTb[2])
+    return np.array([[c, -s, aTb[1]], [s, c, -aTb[0]], [0.0, 0.0, 1.0]])

@@ -1,0 +1,217 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The products that the stages hand on.
+
+Frames: `w` world, `b` robot base (x forward), `l` laser. `wTb` is the pose of b in w. Planar poses
+are rows (x, y, theta) in metres and radians where there are many, `gtsam.Pose2` where there is one
+at the public surface. Points are rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+#: Called by long stages: (stage name, items done, items in all or None where nobody knows).
+ProgressCallback = Callable[[str, int, "int | None"], None]
+
+
+# --- Recording ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class LaserScan:
+    """One sweep of a planar range finder.
+
+    A beam without a return has range `inf`; an invalid reading (NaN, negative, zero) is NaN.
+    """
+
+    stamp: float  # s, as the recording says
+    ranges: FloatArray  # (n,), m; inf = no return, NaN = invalid
+    angles: FloatArray  # (n,), rad, counter-clockwise in the laser frame
+    max_range: float  # m, the largest range the sensor reports as a return
+    bTl: FloatArray  # (3,), pose of the laser on the robot
+    odometry: FloatArray | None = None  # (3,), odometry pose oTb at `stamp`; None = not recorded
+    time_offsets: FloatArray | None = None  # (n,), s, of each beam relative to `stamp`
+    record: int = 0  # line or message number in the recording, for messages to people
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """Pose of the robot base in the drifting odometry frame."""
+
+    stamp: float  # s
+    oTb: FloatArray  # (3,), x, y, theta
+    record: int = 0
+
+
+Message = LaserScan | Odometry
+
+
+class Severity(Enum):
+    """How bad a finding about a recording is."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of `rgslam check`."""
+
+    severity: Severity
+    text: str  # one line, names record and value where there is one
+
+
+# --- Trajectory and pose graph --------------------------------------------------------------------
+
+
+class EdgeKind(Enum):
+    """Where a relative pose comes from."""
+
+    ODOMETRY = "odometry"
+    MATCH = "match"
+    LOOP = "loop"
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEdge:
+    """A measured relative pose between two keyframes."""
+
+    i: int
+    j: int
+    iTj: FloatArray  # (3,), pose of keyframe j in keyframe i
+    covariance: FloatArray  # (3, 3), tangent space of gtsam.Pose2 at iTj: x, y, theta
+    kind: EdgeKind
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframes:
+    """The scans that carry a variable of the factor graph."""
+
+    scan_indices: IntArray  # (K,), index into the recording's scans
+    stamps: FloatArray  # (K,), s
+    wTb: FloatArray  # (K, 3)
+    covariances: FloatArray  # (K, 3, 3), order x, y, theta in the keyframe's own frame (GTSAM)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Pose of the robot base for every laser scan of the recording, in file order."""
+
+    stamps: FloatArray  # (N,), s
+    wTb: FloatArray  # (N, 3)
+
+
+# --- Occupancy grid -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyGrid:
+    """Occupancy of the plane, as in a map_server image turned upside down.
+
+    Row 0 is the lowest y, column 0 the lowest x. Cell (row, col) covers
+    `[origin + (col, row) * resolution, + resolution)`.
+    """
+
+    occupancy: npt.NDArray[np.float32]  # (H, W), probability of occupied; NaN = never seen
+    resolution: float  # m per cell
+    origin: FloatArray  # (2,), world position of the outer corner of cell (0, 0)
+
+    def cells(self, w_points: FloatArray) -> IntArray:
+        """Cell indices (row, col) of world points (n, 2), as (n, 2); may lie outside the grid."""
+        cols_rows = np.floor((w_points - self.origin) / self.resolution).astype(np.int64)
+        return cols_rows[:, ::-1]
+
+    def centres(self, cells: IntArray) -> FloatArray:
+        """World positions (n, 2) of the centres of cells (n, 2) given as (row, col)."""
+        return self.origin + (np.asarray(cells)[:, ::-1] + 0.5) * self.resolution
+
+
+# --- Region & gateway map -------------------------------------------------------------------------
+
+
+class RegionClass(Enum):
+    """What kind of space a region is."""
+
+    ROOM = "room"
+    HALLWAY = "hallway"
+    OPEN_SPACE = "open_space"
+
+
+class GatewayClass(Enum):
+    """What kind of transition a gateway is (RG mapping)."""
+
+    NARROW_PASSAGE = "narrow_passage"
+    L_JUNCTION = "l_junction"
+    T_JUNCTION = "t_junction"
+    X_JUNCTION = "x_junction"
+    OPENING = "opening"
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """The robot went through a gateway."""
+
+    stamp: float  # s
+    from_region: int
+    to_region: int
+
+
+@dataclass(frozen=True, eq=False)
+class Gateway:
+    """A transition between two regions, held by its two posts."""
+
+    id: int
+    label: GatewayClass
+    regions: tuple[int, int]  # ids of the two regions it joins
+    points: FloatArray  # (2, 2), the posts, w
+    crossing_point: FloatArray  # (2,), w
+    width: float  # m, distance of the posts
+    covariance: FloatArray  # (4, 4), of points.ravel(), m^2
+    directions: FloatArray  # (2, 2), unit vectors in w: regions[0] -> [1], and back
+    crossings: tuple[Crossing, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class LineSegment:
+    """A straight piece of a region's boundary."""
+
+    endpoints: FloatArray  # (2, 2), w
+    sigma: float  # m, standard deviation of the points across the line
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A room, a hallway or an open space."""
+
+    id: int
+    label: RegionClass
+    wTg: FloatArray  # (3,), pose of the region's own frame g: origin in the box's centre, x = main axis
+    polygon: FloatArray  # (n, 2), outline, w, counter-clockwise
+    bbox: FloatArray  # (2, 2), lower and upper corner in g
+    main_axes: FloatArray  # (1 or 2, 2), unit vectors in w, the stronger first
+    line_segments: tuple[LineSegment, ...]
+    gateways: tuple[int, ...]
+    area: float  # m^2 of free space
+    objects_2d: tuple[FloatArray, ...] = ()  # outlines (n, 2) of free-standing clusters, w
+    accuracy_m: float | None = None  # RMS distance of the evidence to the line segments
+    completeness: float | None = None  # share of the boundary really seen, 0..1
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """Regions and gateways of an occupancy grid."""
+
+    labels: npt.NDArray[np.uint16]  # (H, W) as the grid's rows; 0 = none, else region id
+    regions: tuple[Region, ...]
+    gateways: tuple[Gateway, ...]
+    warnings: tuple[str, ...] = field(default=())
