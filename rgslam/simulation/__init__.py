@@ -1,0 +1,12 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recorded runs of buildings that exist only as a description: known truth for every figure.
+
+`simulate(World.built_in("office"), seed=1)` gives a recording as a loader gives it, with its truth.
+"""
+
+from rgslam.simulation.driving import Drive, drive
+from rgslam.simulation.recording import SimulatedRecording, simulate
+from rgslam.simulation.world import BUILT_IN_WORLDS, World
+
+__all__ = ["BUILT_IN_WORLDS", "Drive", "SimulatedRecording", "World", "drive", "simulate"]

@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A simulated run: the same messages as a recording from a robot, and the truth beside them."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rgslam.errors import WorldError
+from rgslam.simulation.building import build_solids, footprint, true_gateways, true_regions
+from rgslam.simulation.driving import Drive, drive
+from rgslam.simulation.sensors import Sweeps, read_wheels, sweep_laser
+from rgslam.simulation.world import World
+from rgslam.truth import Truth
+from rgslam.types import FloatArray, LaserScan, Message, Odometry, ProgressCallback, Trajectory
+
+#: The run starts at a stamp as large as a real one (seconds since 1970), so that nothing downstream
+#: gets away with treating stamps as small numbers.
+START_STAMP = 1_600_000_000.0
+
+#: The laser's clock runs this much behind the odometry's, s: the two are never synchronised.
+_LASER_PHASE = 0.0137
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedRecording:
+    """Fulfils the same protocol as a recording that a loader opened."""
+
+    world: World
+    truth: Truth
+    sweeps: Sweeps
+    odometry_times: FloatArray  # (M,), s from the start
+    oTb: FloatArray  # (M, 3)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """A name for messages to people; there is no such file."""
+        return Path(f"{self.world.name}-seed{self.truth.seed}.simulated")
+
+    def messages(self, progress: ProgressCallback | None = None) -> Iterator[Message]:
+        """Scans and odometry in the order of their stamps."""
+        total = len(self.sweeps.times) + len(self.odometry_times)
+        merged = heapq.merge(self._odometry(), self._scans(), key=lambda message: message.stamp)
+        for done, message in enumerate(merged, start=1):
+            if progress is not None and (done % 500 == 0 or done == total):
+                progress("read", done, total)
+            yield message
+
+    def _odometry(self) -> Iterator[Message]:
+        for i, (stamp, pose) in enumerate(zip(_stamps(self.odometry_times), self.oTb, strict=True)):
+            yield Odometry(float(stamp), pose, record=i)
+
+    def _scans(self) -> Iterator[Message]:
+        laser = self.world.sensors.laser
+        bTl = np.asarray(laser.bTl, float)
+        offsets = self.sweeps.offsets if laser.sweep > 0.0 else None
+        stamps = _stamps(self.sweeps.times)
+        for i, (stamp, ranges) in enumerate(zip(stamps, self.sweeps.ranges, strict=True)):
+            yield LaserScan(
+                stamp=float(stamp),
+                ranges=ranges,
+                angles=self.sweeps.angles,
+                max_range=laser.max_range,
+                bTl=bTl,
+                time_offsets=offsets,
+                record=i,
+            )
+
+
+def simulate(
+    world: World,
+    seed: int = 0,
+    duration: float | None = None,
+    progress: ProgressCallback | None = None,
+) -> SimulatedRecording:
+    """Drive through a world and record it. The same world and seed give the same bytes.
+
+    Args:
+        seed: of all sensor noise; the drive itself has none.
+        duration: end the recording after so many seconds.
+
+    Raises:
+        WorldError: the world is not well formed, the route comes too near to a wall, or the
+            recording would hold no scan.
+    """
+    solids = build_solids(world)
+    motion = drive(world.route)
+    _check_clearance(world, motion, footprint(solids, world.sensors.laser.height))
+    end = float(motion.times[-1]) if duration is None else min(duration, float(motion.times[-1]))
+    laser, wheels = world.sensors.laser, world.sensors.odometry
+    # Odometry before the first scan and after the last beam, so that every scan can be interpolated
+    scan_times = _LASER_PHASE + np.arange(int(np.floor(end * laser.rate))) / laser.rate
+    odometry_times = np.arange(int(np.ceil((end + laser.sweep) * wheels.rate)) + 2) / wheels.rate
+    if scan_times.size == 0:
+        raise WorldError(f"{world.name}: {end:g} s at {laser.rate:g} Hz hold no scan")
+
+    laser_rng, wheel_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    report = None if progress is None else lambda n: progress("simulate", n, len(scan_times))
+    sweeps = sweep_laser(laser, solids, motion, scan_times, laser_rng, report)
+    oTb = read_wheels(wheels, motion.poses_at(odometry_times), odometry_times, wheel_rng)
+    trajectory = Trajectory(_stamps(scan_times), motion.poses_at(scan_times))
+    truth = Truth(world.name, seed, trajectory, true_regions(world), true_gateways(world))
+    return SimulatedRecording(world, truth, sweeps, odometry_times, oTb)
+
+
+def _stamps(times: FloatArray) -> FloatArray:
+    """Stamps to the microsecond: the resolution that recordings print."""
+    return np.round(START_STAMP + times, 6)
+
+
+def _check_clearance(world: World, motion: Drive, solid: object) -> None:
+    """Raise a WorldError where the robot would touch something."""
+    import shapely
+
+    centres = shapely.points(motion.wTb[:, :2])
+    distance = shapely.distance(centres, solid)
+    nearest = int(np.argmin(distance))
+    if distance[nearest] < world.route.robot_radius:
+        x, y, _ = motion.wTb[nearest]
+        raise WorldError(
+            f"{world.name}: route: at ({x:.2f}, {y:.2f}), {motion.times[nearest]:.1f} s after the "
+            f"start, the robot is {distance[nearest]:.2f} m from an obstacle, "
+            f"less than its radius of {world.route.robot_radius:.2f} m"
+        )
