@@ -42,7 +42,9 @@ def build_solids(world: World) -> list[Solid]:
     """
     solids = _walls(world)
     solids += [leaf for door in world.doors if (leaf := _leaf(door, world)) is not None]
-    solids += [Solid(box.name, _box(box), box.bottom, box.bottom + box.height) for box in world.furniture]
+    solids += [
+        Solid(box.name, _box(box), box.bottom, box.bottom + box.height) for box in world.furniture
+    ]
     return solids
 
 

@@ -36,7 +36,9 @@ class Drive:
     def poses_at(self, times: FloatArray) -> FloatArray:
         """True poses (..., 3) at times (...); at rest before the first and after the last."""
         times = np.asarray(times, float)
-        index = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
+        index = np.clip(
+            np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2
+        )
         step = self.times[index + 1] - self.times[index]
         fraction = np.clip((times - self.times[index]) / step, 0.0, 1.0)
         return interpolate(self.wTb[index], self.wTb[index + 1], fraction)
@@ -74,7 +76,7 @@ def drive(route: Route) -> Drive:
         poses.append(pose)
         velocities.append((v, omega))
     times = np.arange(len(poses)) * _STEP
-    return Drive(times, np.array(poses), np.array(velocities))
+    return Drive(times, np.array(poses, np.float64), np.array(velocities, np.float64))
 
 
 class _Carrot:
@@ -131,7 +133,9 @@ def _command(
     if abs(error) < _TURN_ON_SPOT:
         speed = carrot.speeds[carrot.segment] * math.cos(error) ** 2
         if carrot.at_end:
-            speed = min(speed, 0.8 * math.sqrt(2.0 * route.max_acceleration * carrot.distance(pose)))
+            speed = min(
+                speed, 0.8 * math.sqrt(2.0 * route.max_acceleration * carrot.distance(pose))
+            )
     dv, dw = route.max_acceleration * _STEP, route.max_turn_acceleration * _STEP
     v = min(max(speed, velocity[0] - dv), velocity[0] + dv)
     omega = min(max(turn, velocity[1] - dw), velocity[1] + dw)

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from rgslam.errors import WorldError
+from rgslam.loaders.recording import LaserFacts, ReadProgress, Recording
 from rgslam.simulation.building import build_solids, footprint, true_gateways, true_regions
 from rgslam.simulation.driving import Drive, drive
 from rgslam.simulation.sensors import Sweeps, read_wheels, sweep_laser
@@ -27,47 +27,66 @@ START_STAMP = 1_600_000_000.0
 _LASER_PHASE = 0.0137
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedRecording:
-    """Fulfils the same protocol as a recording that a loader opened."""
+class SimulatedRecording(Recording):
+    """A run through a world, as a loader would hand it out.
 
-    world: World
-    truth: Truth
-    sweeps: Sweeps
-    odometry_times: FloatArray  # (M,), s from the start
-    oTb: FloatArray  # (M, 3)
-    warnings: tuple[str, ...] = ()
+    Attributes:
+        world: the world driven through.
+        truth: poses at every scan, regions and gateways as they are.
+    """
+
+    format_name = "simulated run"
+    size_bytes = 0
+    skipped_types: frozenset[str] = frozenset()
+
+    def __init__(
+        self, world: World, truth: Truth, sweeps: Sweeps, wheel_times: FloatArray, oTb: FloatArray
+    ) -> None:
+        laser = world.sensors.laser
+        self.world, self.truth = world, truth
+        #: A name for messages to people; there is no such file.
+        self.path = Path(f"{world.name}-seed{truth.seed}.simulated")
+        self.scan_count = len(sweeps.times)
+        self.message_counts = {"LaserScan": len(sweeps.times), "Odometry": len(wheel_times)}
+        self.laser = LaserFacts(
+            no_return_from=np.inf,
+            max_range=laser.max_range,
+            max_range_source="world file",
+            bTl=np.asarray(laser.bTl, float),
+            bTl_source="world file",
+        )
+        self._sweeps, self._wheel_times, self._oTb = sweeps, wheel_times, oTb
 
     @property
-    def path(self) -> Path:
-        """A name for messages to people; there is no such file."""
-        return Path(f"{self.world.name}-seed{self.truth.seed}.simulated")
+    def warnings(self) -> list[str]:
+        """None: a simulated recording is whole."""
+        return []
 
-    def messages(self, progress: ProgressCallback | None = None) -> Iterator[Message]:
+    def messages(self, progress: ReadProgress | None = None) -> Iterator[Message]:
         """Scans and odometry in the order of their stamps."""
-        total = len(self.sweeps.times) + len(self.odometry_times)
+        total = len(self._sweeps.times) + len(self._wheel_times)
         merged = heapq.merge(self._odometry(), self._scans(), key=lambda message: message.stamp)
         for done, message in enumerate(merged, start=1):
-            if progress is not None and (done % 500 == 0 or done == total):
-                progress("read", done, total)
             yield message
+            if progress is not None and (done % 100 == 0 or done == total):
+                progress(done / total)
 
     def _odometry(self) -> Iterator[Message]:
-        for i, (stamp, pose) in enumerate(zip(_stamps(self.odometry_times), self.oTb, strict=True)):
-            yield Odometry(float(stamp), pose, record=i)
+        stamps = _stamps(self._wheel_times).tolist()
+        for i, (stamp, pose) in enumerate(zip(stamps, self._oTb, strict=True)):
+            yield Odometry(stamp, pose, record=i)
 
     def _scans(self) -> Iterator[Message]:
         laser = self.world.sensors.laser
-        bTl = np.asarray(laser.bTl, float)
-        offsets = self.sweeps.offsets if laser.sweep > 0.0 else None
-        stamps = _stamps(self.sweeps.times)
-        for i, (stamp, ranges) in enumerate(zip(stamps, self.sweeps.ranges, strict=True)):
+        offsets = self._sweeps.offsets if laser.sweep > 0.0 else None
+        stamps = _stamps(self._sweeps.times).tolist()
+        for i, (stamp, ranges) in enumerate(zip(stamps, self._sweeps.ranges, strict=True)):
             yield LaserScan(
-                stamp=float(stamp),
+                stamp=stamp,
                 ranges=ranges,
-                angles=self.sweeps.angles,
+                angles=self._sweeps.angles,
                 max_range=laser.max_range,
-                bTl=bTl,
+                bTl=self.laser.bTl,
                 time_offsets=offsets,
                 record=i,
             )
@@ -82,8 +101,10 @@ def simulate(
     """Drive through a world and record it. The same world and seed give the same bytes.
 
     Args:
+        world: building, route and sensors.
         seed: of all sensor noise; the drive itself has none.
         duration: end the recording after so many seconds.
+        progress: called with the number of scans done.
 
     Raises:
         WorldError: the world is not well formed, the route comes too near to a wall, or the

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rgslam.errors import RgslamError
 from rgslam.geometry import between, compose
 from rgslam.simulation.building import Solid, mesh_of
 from rgslam.simulation.driving import Drive
@@ -81,8 +82,10 @@ def read_wheels(
     """Odometry poses (M, 3) in the drifting frame o, which starts at the robot.
 
     Args:
+        sensor: how noisy the odometry is.
         wTb: true poses (M, 3) at `times`.
         times: (M,), s.
+        rng: source of the noise.
     """
     steps = between(wTb[:-1], wTb[1:])
     travel, turn = steps[:, 0], steps[:, 2]
@@ -90,7 +93,9 @@ def read_wheels(
     length_scale = 1.0 + rng.normal(0.0, sensor.travel_scale)
     angle_scale = 1.0 + rng.normal(0.0, sensor.turn_scale)
     veer = rng.normal(0.0, sensor.veer)
-    sigma_travel = np.sqrt(sensor.travel_per_metre**2 * metres + sensor.travel_per_turn**2 * radians)
+    sigma_travel = np.sqrt(
+        sensor.travel_per_metre**2 * metres + sensor.travel_per_turn**2 * radians
+    )
     sigma_turn = np.sqrt(sensor.turn_per_metre**2 * metres + sensor.turn_per_turn**2 * radians)
     slips = _slips(sensor, metres, times, rng)
     measured = np.stack(
@@ -113,14 +118,14 @@ def read_wheels(
 def _slips(
     sensor: OdometrySensor, metres: FloatArray, times: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """What wheel slips add to each step: (M - 1, 2), travel and turn, spread over their duration."""
+    """What slips add to each step: (M - 1, 2), travel and turn, spread over their duration."""
     added = np.zeros((len(metres), 2))
     starts = np.flatnonzero(rng.random(len(metres)) < sensor.slips_per_metre * metres)
     for start in starts:
         during = (times[1:] > times[start]) & (times[1:] <= times[start] + sensor.slip_duration)
         during[start] = True  # a slip shorter than a step is in one step
-        added[during] += (
-            rng.normal(0.0, (sensor.slip_travel, sensor.slip_turn)) / np.count_nonzero(during)
+        added[during] += rng.normal(0.0, (sensor.slip_travel, sensor.slip_turn)) / np.count_nonzero(
+            during
         )
     return added
 
@@ -129,13 +134,18 @@ def _ray_caster(
     solids: list[Solid], height: float
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """A function from origins (..., 2) and headings (...) to exact ranges (...), inf = nothing."""
-    import open3d as o3d
+    try:
+        import open3d as o3d
+    except (ImportError, OSError) as error:
+        raise RgslamError(
+            f"Open3D cannot be loaded ({error}): the simulator needs the system libraries "
+            f"libusb-1.0, libGL, libEGL, libX11 and libgomp"
+        ) from error
 
     vertices, triangles = mesh_of(solids)
+    tensor = o3d.core.Tensor.from_numpy
     scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(triangles.astype(np.uint32))
-    )
+    scene.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
 
     def cast(origins: FloatArray, headings: FloatArray) -> FloatArray:
         rays = np.zeros((*headings.shape, 6), np.float32)
@@ -143,6 +153,6 @@ def _ray_caster(
         rays[..., 2] = height
         rays[..., 3] = np.cos(headings)
         rays[..., 4] = np.sin(headings)
-        return scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        return scene.cast_rays(tensor(rays))["t_hit"].numpy().astype(np.float64)
 
     return cast

@@ -189,7 +189,7 @@ class World(Part):
         """
         if name not in BUILT_IN_WORLDS:
             raise WorldError(f"{name!r} is no built-in world ({', '.join(BUILT_IN_WORLDS)})")
-        file = resources.files("rgslam.simulation").joinpath("worlds", f"{name}.yaml")
+        file = resources.files("rgslam.simulation") / "worlds" / f"{name}.yaml"
         return cls._parse(file.read_text(encoding="utf-8"), f"{name}.yaml")
 
     @classmethod

@@ -1,0 +1,45 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How good is a map: against known relations, against the truth of a simulated run.
+
+`evaluate_map(folder, relations=..., truth=...)` gives it all; the other names are its parts.
+"""
+
+from rgslam.metrics.against_truth import (
+    GatewayErrors,
+    RegionErrors,
+    TrajectoryErrors,
+    gateway_errors,
+    region_errors,
+    trajectory_errors,
+)
+from rgslam.metrics.consistency import Nees, keyframe_errors, nees
+from rgslam.metrics.evaluation import Evaluation, evaluate_map
+from rgslam.metrics.relations import (
+    ErrorSummary,
+    RelationErrors,
+    Relations,
+    kuemmerle,
+    match_stamps,
+    read_relations,
+)
+
+__all__ = [
+    "ErrorSummary",
+    "Evaluation",
+    "GatewayErrors",
+    "Nees",
+    "RegionErrors",
+    "RelationErrors",
+    "Relations",
+    "TrajectoryErrors",
+    "evaluate_map",
+    "gateway_errors",
+    "keyframe_errors",
+    "kuemmerle",
+    "match_stamps",
+    "nees",
+    "read_relations",
+    "region_errors",
+    "trajectory_errors",
+]
