@@ -15,7 +15,6 @@ import numpy as np
 from rgslam.loaders.byte_stream import LineStream, compression
 from rgslam.loaders.carmen_records import ScanRecord, parse_odometry
 from rgslam.loaders.carmen_survey import SCAN_PARSERS, survey
-from rgslam.loaders.odometry_interpolation import with_odometry
 from rgslam.loaders.recording import Problems, ReadProgress, Recording
 from rgslam.types import LaserScan, Message, Odometry
 
@@ -72,10 +71,7 @@ class CarmenRecording(Recording):
     def messages(self, progress: ReadProgress | None = None) -> Iterator[Message]:
         """See `Recording.messages`."""
         problems = self._problems = Problems()
-        messages = self._read(problems, progress)
-        if self._survey.scan_type == "RAWLASER1" and "ODOM" in self.message_counts:
-            return with_odometry(messages)
-        return messages
+        return self._read(problems, progress)
 
     def _read(self, problems: Problems, progress: ReadProgress | None) -> Iterator[Message]:
         with LineStream(self.path) as lines:
@@ -112,10 +108,10 @@ class CarmenRecording(Recording):
 
     def _scan(self, record: ScanRecord, number: int, problems: Problems) -> LaserScan:
         ranges = record.ranges
-        invalid = np.count_nonzero(~(ranges > 0.0))
-        if invalid:
-            problems.add(_INVALID_RANGES, number, int(invalid))
-            ranges = np.where(ranges > 0.0, ranges, np.nan)
+        valid = ranges > 0.0  # False for NaN
+        if not valid.all():
+            problems.add(_INVALID_RANGES, number, len(ranges) - int(np.count_nonzero(valid)))
+            ranges = np.where(valid, ranges, np.nan)
         limit = min(self.laser.no_return_from, record.max_range or np.inf)
         return LaserScan(
             stamp=record.stamp,

@@ -17,6 +17,7 @@ import numpy as np
 from rgslam.types import FloatArray
 
 _DOT, _SPACE = ord("."), ord(" ")
+_EXACT_INTEGERS = 1 << 53  # below it a float holds every integer
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,19 +125,18 @@ def _fixed_point(text: bytes, n: int) -> FloatArray | None:
 
     An integer below 2^53 divided by a power of ten up to 10^22 is rounded once, as `float` does.
     """
-    if text.translate(None, b"0123456789. ") or not 0 < len(text) < 16 * n:
+    if text.translate(None, b"0123456789. ") or not text:
         return None
     characters = np.frombuffer(text, np.uint8)
-    dots = np.flatnonzero(characters == _DOT)
-    ends = np.append(np.flatnonzero(characters == _SPACE), len(text))
-    if len(dots) != n or len(ends) != n:
-        return None
-    decimals = int(ends[-1] - dots[-1]) - 1
-    widths = np.diff(ends, prepend=-1) - 1
-    if not 0 < decimals < 15 or widths.max() > 15 or np.any(ends - dots != decimals + 1):
+    dots = (characters == _DOT).nonzero()[0]
+    spaces = (characters == _SPACE).nonzero()[0]
+    decimals = len(text) - 1 - int(dots[-1]) if len(dots) == n == len(spaces) + 1 else 0
+    if not 0 < decimals < 16 or not (spaces - dots[:-1] == decimals + 1).all():
         return None
     digits = np.fromstring(text.translate(None, b"."), dtype=np.int64, sep=" ")
-    return digits / 10.0**decimals if len(digits) == n else None
+    if len(digits) != n or digits.max() >= _EXACT_INTEGERS:
+        return None
+    return digits / 10.0**decimals
 
 
 def _scanner_and_ranges(
@@ -174,10 +174,10 @@ def _stamp(field: bytes) -> float:
 
 
 def _finite(fields: list[bytes]) -> FloatArray:
-    values = np.array(fields, dtype=np.float64)
-    if not np.all(np.isfinite(values)):
+    values = [float(field) for field in fields]
+    if not all(map(math.isfinite, values)):
         raise ValueError("a pose is not finite")
-    return values
+    return np.array(values)
 
 
 @lru_cache(maxsize=16)
