@@ -256,3 +256,28 @@ def _office_grid(rooms: int, resolution: float = 0.05) -> OccupancyGrid:
         fill(x0 + 0.1, 2.2, x0 + 3.9, 7.2, 0.02)
         fill(x0 + 1.55, 2.0, x0 + 2.45, 2.2, 0.02)
     return OccupancyGrid(occupancy, resolution, origin)
+
+
+def two_room_world(**changes: object) -> dict[str, object]:
+    """A small world as a file says it: two rooms of 4 x 4 m joined by a door, 45 s of driving.
+
+    The wall between them is at x = 4, the door from y = 1.5 to 2.51; `changes` replace top-level
+    keys.
+    """
+    return {
+        "name": "two rooms",
+        "walls": [
+            {"points": [[0, 0], [8, 0], [8, 4], [0, 4]], "closed": True, "thickness": 0.2},
+            {"points": [[4, 0], [4, 4]]},
+        ],
+        "doors": [
+            {"name": "door", "posts": [[4, 1.5], [4, 2.51]], "into": "east", "angle_deg": 95}
+        ],
+        "areas": [
+            {"name": "west", "label": "room", "polygon": [[0, 0], [4, 0], [4, 4], [0, 4]]},
+            {"name": "east", "label": "room", "polygon": [[4, 0], [8, 0], [8, 4], [4, 4]]},
+        ],
+        "furniture": [{"name": "cabinet", "centre": [1.0, 3.7], "size": [1.0, 0.4]}],
+        "route": {"way_points": [[1, 2], [6.5, 2.0], [6.5, 3.0], [6.5, 2.0], [1, 2]]},
+        **changes,
+    }
