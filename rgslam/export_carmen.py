@@ -8,7 +8,6 @@ FLASER has no angles: it is used where its rule (half a circle ahead) gives thos
 from __future__ import annotations
 
 import math
-import os
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,7 +41,7 @@ def write_carmen(recording: Recording, path: Path | str) -> None:
     try:
         with scratch.open("x", encoding="ascii") as stream:
             stream.writelines(f"{line}\n" for line in _lines(recording))
-        os.replace(scratch, path)
+        scratch.replace(path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:  # also on Ctrl-C

@@ -40,6 +40,8 @@ def build_solids(world: World) -> list[Solid]:
         WorldError: a wall of no extent, a door or passage that is not in a wall, an area that is
             unknown or whose outline crosses itself, a door that joins no two areas.
     """
+    for area in world.areas:
+        _area_polygon(area)  # before anything else is looked up in it
     solids = _walls(world)
     solids += [leaf for door in world.doors if (leaf := _leaf(door, world)) is not None]
     solids += [
@@ -123,6 +125,10 @@ def _gateway(world: World, opening: Door | Passage, label: GatewayClass) -> Trut
                 f"({point.x:.2f}, {point.y:.2f}) beside it, expected one"
             )
         names.append(inside[0])
+    if names[0] == names[1]:
+        raise WorldError(
+            f"{world.name}: {opening.name!r}: area {names[0]!r} is on both sides of it"
+        )
     return TruthGateway(opening.name, label, (names[0], names[1]), posts)
 
 

@@ -75,7 +75,7 @@ def drive(route: Route) -> Drive:
         velocities[-1] = (v, omega)
         poses.append(pose)
         velocities.append((v, omega))
-    times = np.arange(len(poses)) * _STEP
+    times = np.arange(len(poses), dtype=np.float64) * _STEP
     return Drive(times, np.array(poses, np.float64), np.array(velocities, np.float64))
 
 

@@ -111,6 +111,7 @@ def simulate(
             recording would hold no scan.
     """
     solids = build_solids(world)
+    regions, gateways = true_regions(world), true_gateways(world)
     motion = drive(world.route)
     _check_clearance(world, motion, footprint(solids, world.sensors.laser.height))
     end = float(motion.times[-1]) if duration is None else min(duration, float(motion.times[-1]))
@@ -126,7 +127,7 @@ def simulate(
     sweeps = sweep_laser(laser, solids, motion, scan_times, laser_rng, report)
     oTb = read_wheels(wheels, motion.poses_at(odometry_times), odometry_times, wheel_rng)
     trajectory = Trajectory(_stamps(scan_times), motion.poses_at(scan_times))
-    truth = Truth(world.name, seed, trajectory, true_regions(world), true_gateways(world))
+    truth = Truth(world.name, seed, trajectory, regions, gateways)
     return SimulatedRecording(world, truth, sweeps, odometry_times, oTb)
 
 

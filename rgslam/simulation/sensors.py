@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgslam.errors import RgslamError
-from rgslam.geometry import between, compose
+from rgslam.geometry import between, compose, wrap_angle
 from rgslam.simulation.building import Solid, mesh_of
 from rgslam.simulation.driving import Drive
 from rgslam.simulation.world import LaserSensor, OdometrySensor
@@ -109,10 +109,12 @@ def read_wheels(
         ],
         axis=-1,
     )
-    poses = np.zeros((len(times), 3))
-    for i, step in enumerate(measured):
-        poses[i + 1] = compose(poses[i], step)
-    return poses
+    heading = np.concatenate([[0.0], np.cumsum(measured[:, 2])])
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    x = np.cumsum(c * measured[:, 0] - s * measured[:, 1])
+    y = np.cumsum(s * measured[:, 0] + c * measured[:, 1])
+    position = np.concatenate([np.zeros((1, 2)), np.stack([x, y], axis=-1)])
+    return np.column_stack([position, wrap_angle(heading)])
 
 
 def _slips(
