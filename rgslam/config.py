@@ -25,27 +25,90 @@ class StageConfig(BaseModel):
 class ScanMatchingConfig(StageConfig):
     """Local registration of every scan (see `rgslam.scan_matching`)."""
 
+    resolution: float = Field(0.05, gt=0.0)  # m per cell of the correlative search
+    local_keyframes: int = Field(12, ge=1)  # newest keyframes that a scan is aligned with
+    keyframe_distance: float = Field(0.4, gt=0.0)  # m between keyframes
+    keyframe_angle_deg: float = Field(20.0, gt=0.0)  # turn between keyframes
+    min_inliers: float = Field(0.4, ge=0.0, le=1.0)  # share of points below which a match is doubted
+
 
 class LoopClosingConfig(StageConfig):
     """Search and acceptance of loops (see `rgslam.loop_closing`)."""
 
+    enabled: bool = True
+    resolution: float = Field(0.05, gt=0.0)  # m per cell of the global correlation
+    search_every: float = Field(1.0, gt=0.0)  # m travelled between searches
+    patch_length: float = Field(4.0, gt=0.0)  # m of path whose scans form the recent patch
+    chunk_length: float = Field(4.0, gt=0.0)  # m of path to each side of an old place
+    chunks: int = Field(3, ge=1)  # old places tried per search
+    min_path: float = Field(10.0, gt=0.0)  # m travelled before a place counts as old
+    min_window: float = Field(0.3, gt=0.0)  # m, smallest half width that is searched
+    max_window: float = Field(12.0, gt=0.0)  # m, largest
+    max_turn: float = Field(0.8, gt=0.0)  # rad, largest half angle
+    tolerance: float = Field(0.15, gt=0.0)  # m, a point this near a surface agrees with it
+    min_score: float = Field(0.4, ge=0.0, le=1.0)  # mean likelihood of the patch
+    min_overlap: float = Field(0.4, ge=0.0, le=1.0)  # share of the patch on old surfaces
+    min_agreement: float = Field(0.8, ge=0.0, le=1.0)  # share of the judged points that agree
+    max_rival: float = Field(0.9, ge=0.0, le=1.0)  # score of the next peak relative to the best
+    min_support: int = Field(3, ge=1)  # wide loops that must agree before they are believed
+
 
 class FactorGraphConfig(StageConfig):
     """The joint factor graph (see `rgslam.factor_graph`)."""
+
+    loop_kernel: float = Field(2.0, gt=0.0)  # sigmas at which the influence of a loop fades
+
+
+class RefinementConfig(StageConfig):
+    """Alignment of all overlapping keyframes at the end (see `rgslam.refinement`)."""
+
+    gates: tuple[float, ...] = (0.3, 0.2, 0.12, 0.12)  # m, association gate of each round
+    partners: int = Field(12, ge=1)  # overlapping keyframes that each one is aligned with
+    min_overlap: float = Field(0.3, gt=0.0, le=1.0)  # share of the surface points that must meet
+    beam_correlation: float = Field(5.0, ge=1.0)  # neighbouring beams that err alike
 
 
 class OccupancyGridConfig(StageConfig):
     """Free and occupied space (see `rgslam.occupancy_grid`)."""
 
     resolution: float = Field(0.05, gt=0.0)  # m per cell
+    # A hit says more than a pass: a beam that grazes a wall passes through its cells.
+    hit_weight: float = Field(2.0, gt=0.0)
+    end_uncertainty: float = Field(0.05, ge=0.0)  # m before a hit left undecided (range noise, 95 %)
+    no_return_quantile: float = Field(0.95, gt=0.0, le=1.0)  # of the ranges: reach of a lost beam
+    extent_quantile: float = Field(0.999, gt=0.5, le=1.0)  # of the end points that span the grid
+    largest_cells: int = Field(64_000_000, ge=1)  # 0.8 GB for the counts and the grid
 
 
 class GatewayConfig(StageConfig):
-    """Detection of gateways (see `rgslam.gateways`)."""
+    """Detection of gateways (see `rgslam.gateways`); lengths are those of doors and people."""
+
+    door_leaf: float = Field(1.2, gt=0.0)  # m, widest single door leaf in use
+    longest: float = Field(6.0, gt=0.0)  # m, longest virtual line; wider is one space for an eye
+    slide: float = Field(0.3, gt=0.0)  # m, posts are moved this far to see whether a line is shortest
+    post_turn_deg: float = Field(25.0, gt=0.0, lt=180.0)  # a wall that juts out by more has a post
+    alignment_deg: float = Field(15.0, gt=0.0, lt=45.0)  # wider than a leaf: must continue a wall
+    free_depth: float = Field(0.5, gt=0.0)  # m on either side: a robot's or a person's body
+    # Width of a passage relative to the free width beside it: either side, and geometric mean.
+    narrowing: float = Field(0.85, gt=0.0, le=1.0)
+    mean_narrowing: float = Field(0.55, gt=0.0, le=1.0)
+    # The mouth of a hallway: the space it opens into is so many times as wide, and the hallway so
+    # many times as long as wide.
+    widening: float = Field(2.0, gt=1.0)
+    hallway_length: float = Field(1.5, gt=0.0)
+    thickest_wall: float = Field(0.6, gt=0.0)  # m, a jamb deeper than that is a short hallway
 
 
 class RegionConfig(StageConfig):
     """Split of the free space into regions (see `rgslam.regions`)."""
+
+    # m, longest side of a free-standing obstacle that divides nothing: chair, bin, table leg, person.
+    largest_object: float = Field(0.8, ge=0.0)
+    least_radius: float = Field(0.35, gt=0.0)  # m, inscribed circle: a place a person can stand in
+    least_area: float = Field(1.5, gt=0.0)  # m^2, a cubicle; smaller pieces belong to their neighbour
+    hallway_elongation: float = Field(3.0, gt=1.0)  # length over width
+    hallway_width: float = Field(4.0, gt=0.0)  # m, widest hallway (above it is an open space)
+    open_space_width: float = Field(6.0, gt=0.0)  # m, a room this wide both ways is an open space
 
 
 class Config(StageConfig):
@@ -54,6 +117,7 @@ class Config(StageConfig):
     scan_matching: ScanMatchingConfig = ScanMatchingConfig()
     loop_closing: LoopClosingConfig = LoopClosingConfig()
     factor_graph: FactorGraphConfig = FactorGraphConfig()
+    refinement: RefinementConfig = RefinementConfig()
     occupancy_grid: OccupancyGridConfig = OccupancyGridConfig()
     gateways: GatewayConfig = GatewayConfig()
     regions: RegionConfig = RegionConfig()

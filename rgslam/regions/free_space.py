@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The free space that regions are made of: where a robot could be, without the legs of chairs."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+def fill_islands(free: BoolArray, largest: float) -> BoolArray:
+    """Free space with its small free-standing obstacles (legs, bins, people, noise) filled in.
+
+    Args:
+        free: (H, W).
+        largest: longest side of the bounding box of an obstacle that is filled, cells.
+    """
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        (~free).astype(np.uint8), connectivity=8, ltype=cv2.CV_32S
+    )
+    height, width = free.shape
+    x, y, w, h = stats[:, :4].T
+    inside = (x > 0) & (y > 0) & (x + w < width) & (y + h < height)
+    small = inside & (np.maximum(w, h) <= largest)
+    small[0] = False  # label 0 is the free space itself
+    return np.asarray(free | small[labels], bool)
+
+
