@@ -1,0 +1,295 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The command `rgslam`: each command is a thin shell over a public function.
+
+Exit codes: 0 done; 1 the input, the configuration or the machine is at fault, said in one line on
+stderr; 2 bad usage; 130 stopped with Ctrl-C. Whatever is not an `RgslamError` is a bug of ours and
+keeps its traceback.
+
+What commands need is imported inside them: `rgslam --help` has to answer at once.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ParamSpec, TypeVar
+
+import typer
+
+from rgslam import __version__
+from rgslam.errors import RgslamError
+
+if TYPE_CHECKING:
+    from rgslam.rg_map import RGMap
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+INTERRUPTED = 130  # as shells report a program that Ctrl-C ended
+
+app = typer.Typer(
+    name="rgslam",
+    help="Region & gateway maps with rectangle landmarks from recorded robot runs.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+datasets_app = typer.Typer(
+    help="Public recordings and plans.", no_args_is_help=True, rich_markup_mode=None
+)
+app.add_typer(datasets_app, name="datasets")
+
+
+def main() -> None:
+    """Run the command line; an `RgslamError` becomes one line and exit code 1."""
+    try:
+        app()
+    except RgslamError as error:
+        typer.echo(f"error: {' '.join(str(error).split())}", err=True)
+        sys.exit(1)
+
+
+def _stoppable(command: Callable[P, R]) -> Callable[P, R]:
+    """Let Ctrl-C end a command with the exit code that shells know."""
+
+    @functools.wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return command(*args, **kwargs)
+        except KeyboardInterrupt:
+            typer.echo("stopped", err=True)
+            raise typer.Exit(INTERRUPTED) from None
+
+    return run
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"rgslam {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Say the version."),
+    ] = False,
+    verbose: Annotated[
+        int,
+        typer.Option("-v", "--verbose", count=True, show_default=False, help="Say more; -vv all."),
+    ] = 0,
+) -> None:
+    levels = (logging.WARNING, logging.INFO, logging.DEBUG)
+    logging.basicConfig(
+        level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr
+    )
+    # Only our own modules speak up: libraries at debug level drown them.
+    logging.getLogger("rgslam").setLevel(levels[min(verbose, 2)])
+
+
+Out = Annotated[Path, typer.Option("--out", help="Folder to write; replaced if it is a map.")]
+
+
+@app.command()
+@_stoppable
+def demo(out: Out = Path("out/demo")) -> None:
+    """Simulate an office run, map it, score the map.
+
+    \b
+    Example:
+      rgslam demo --out out/demo
+    """
+    from rgslam.cli_output import StageProgress, print_evaluation, print_map_summary
+    from rgslam.demo import run_demo
+
+    with StageProgress() as progress:
+        rg_map, evaluation = run_demo(out, progress=progress.update)
+    print_map_summary(rg_map)
+    print_evaluation(evaluation)
+    typer.echo(f"map written to {out}")
+
+
+@app.command("map")
+@_stoppable
+def map_recording(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="Recorded run: a CARMEN log, .gz, .bz2.")
+    ],
+    out: Out,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="YAML file; what it leaves out is default.")
+    ] = None,
+) -> None:
+    """Turn a recorded run into a region & gateway map.
+
+    Ctrl-C stops reading and maps what has been read so far; a second one stops at once.
+
+    \b
+    Example:
+      rgslam map intel.clf.bz2 --out out/intel
+    """
+    from rgslam.cli_output import StageProgress, print_map_summary
+    from rgslam.config import Config
+    from rgslam.interrupt import StopOnInterrupt
+    from rgslam.loaders import open_recording
+    from rgslam.map_folder import check_replaceable
+    from rgslam.pipeline import build_map
+    from rgslam.rg_map import MAP_FILES
+
+    settings = Config() if config is None else Config.from_yaml(config)
+    check_replaceable(out, MAP_FILES)
+    run = open_recording(recording)
+    with StopOnInterrupt() as interrupt:
+        with StageProgress() as progress:
+            rg_map = build_map(run, settings, progress=progress.update, stop=interrupt.requested)
+        rg_map.save(out)
+    print_map_summary(rg_map)
+    _say_where(rg_map, out)
+
+
+def _say_where(rg_map: RGMap, out: Path) -> None:
+    if not rg_map.run.partial:
+        typer.echo(f"map written to {out}")
+        return
+    typer.echo(f"stopped: the map of what had been read is partial, written to {out}", err=True)
+    raise typer.Exit(INTERRUPTED)
+
+
+@app.command()
+@_stoppable
+def segment(
+    grid: Annotated[
+        Path, typer.Argument(metavar="MAP", help="Occupancy grid: PNG, PGM, or map_server's YAML.")
+    ],
+    out: Out,
+    resolution: Annotated[
+        float | None,
+        typer.Option("--resolution", min=0.0, help="Metres per pixel; a YAML file has its own."),
+    ] = None,
+) -> None:
+    """Find the regions and gateways of an occupancy grid.
+
+    \b
+    Example:
+      rgslam segment plan.png --resolution 0.05 --out out/plan
+    """
+    from rgslam.export import read_grid, write_segmentation
+    from rgslam.regions import segment_grid
+
+    occupancy_grid = read_grid(grid, resolution)
+    segmentation = segment_grid(occupancy_grid, occupancy_grid.resolution)
+    write_segmentation(segmentation, occupancy_grid, out, name=grid.name)
+    for warning in segmentation.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    typer.echo(
+        f"{len(segmentation.regions)} regions, {len(segmentation.gateways)} gateways "
+        f"written to {out}"
+    )
+
+
+@app.command()
+@_stoppable
+def evaluate(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Map folder.")],
+    relations: Annotated[
+        Path | None, typer.Option("--relations", help="Known relative poses of the robot.")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="truth.json of a simulated run.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Score a map folder.
+
+    Against known relations of poses (Kümmerle's metric), the truth of a simulation, or both.
+
+    \b
+    Example:
+      rgslam evaluate out/intel --relations intel.relations --json
+    """
+    from rgslam.metrics import evaluate_map
+
+    evaluation = evaluate_map(folder, relations=relations, truth=truth)
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(evaluation.to_dict(), indent=2))
+        return
+    from rgslam.cli_output import print_evaluation
+
+    print_evaluation(evaluation)
+
+
+@app.command()
+@_stoppable
+def check(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="Recorded run: a CARMEN log, .gz, .bz2.")
+    ],
+) -> None:
+    """Say what is in a recording and what is wrong.
+
+    One finding per line. The exit code is 0 when the recording can be mapped, warnings or not, and 1 when it cannot.
+
+    \b
+    Example:
+      rgslam check intel.clf.bz2
+    """
+    from rgslam.recording_check import check_recording
+    from rgslam.types import Severity
+
+    findings = check_recording(recording)
+    for finding in findings:
+        broken = finding.severity is Severity.ERROR
+        text = " ".join(finding.text.split())
+        typer.echo(f"{finding.severity.value}: {text}", err=broken)
+    if any(finding.severity is Severity.ERROR for finding in findings):
+        raise typer.Exit(1)
+
+
+@datasets_app.command("list")
+@_stoppable
+def list_datasets_command() -> None:
+    """List the public data sets that can be fetched.
+
+    \b
+    Example:
+      rgslam datasets list
+    """
+    from rgslam.datasets import list_datasets
+
+    for dataset in list_datasets():
+        count = f"{len(dataset.files)} file{'s' if len(dataset.files) > 1 else ''}"
+        typer.echo(f"{dataset.name} ({count}; licence: {dataset.licence})")
+        typer.echo(f"    {dataset.description}")
+
+
+@datasets_app.command("fetch")
+@_stoppable
+def fetch_dataset_command(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name, as `rgslam datasets list` says it.")
+    ],
+    folder: Annotated[
+        Path, typer.Option("--dir", help="The files go into its subfolder NAME.")
+    ] = Path("datasets"),
+    catalogue: Annotated[
+        Path | None, typer.Option("--catalogue", help="Another catalogue than rgslam's own.")
+    ] = None,
+) -> None:
+    """Fetch a public data set and check it against its SHA-256.
+
+    \b
+    Example:
+      rgslam datasets fetch intel
+    """
+    from rgslam.datasets import fetch_dataset
+
+    for path in fetch_dataset(name, folder, catalogue):
+        typer.echo(str(path))
