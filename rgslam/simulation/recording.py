@@ -123,7 +123,7 @@ def simulate(
         raise WorldError(f"{world.name}: {end:g} s at {laser.rate:g} Hz hold no scan")
 
     laser_rng, wheel_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    report = None if progress is None else lambda n: progress("simulate", n, len(scan_times))
+    report = None if progress is None else lambda n: progress("simulate scans", n, len(scan_times))
     sweeps = sweep_laser(laser, solids, motion, scan_times, laser_rng, report)
     oTb = read_wheels(wheels, motion.poses_at(odometry_times), odometry_times, wheel_rng)
     trajectory = Trajectory(_stamps(scan_times), motion.poses_at(scan_times))

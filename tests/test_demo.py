@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The demo: a folder that is whole or not there, and scores that are those of its map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import rgslam.demo
+from rgslam.demo import run_demo
+from rgslam.errors import MapError, WorldError
+from rgslam.loaders import open_recording
+from rgslam.metrics import evaluate_map
+from rgslam.rg_map import load_map
+from rgslam.truth import read_truth
+
+pipeline = pytest.importorskip("rgslam.pipeline", reason="the mapper is not built yet")
+
+SECONDS = 12.0  # of the drive: out of the hallway, into a room
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demo") / "deep" / "out"
+    run_demo(folder, duration=SECONDS)
+    return folder
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def test_leaves_map_recording_and_truth_and_nothing_else(demo: Path) -> None:
+    assert names(demo) == ["map", "recording.clf", "truth.json"]
+    assert names(demo.parent) == ["out"]
+    scans = int(SECONDS * 10)
+    assert open_recording(demo / "recording.clf").scan_count == scans
+    assert len(read_truth(demo / "truth.json").trajectory.stamps) == scans
+    assert len(load_map(demo / "map").trajectory.stamps) == scans
+
+
+def test_scores_are_those_of_the_files(demo: Path, tmp_path: Path) -> None:
+    stages: set[str] = set()
+    _, evaluation = run_demo(
+        tmp_path / "out", lambda stage, done, total: stages.add(stage), duration=SECONDS
+    )
+    assert evaluation.folder == tmp_path / "out" / "map"
+    again = evaluate_map(tmp_path / "out" / "map", truth=tmp_path / "out" / "truth.json")
+    assert evaluation.to_dict() == again.to_dict()
+    assert "simulate scans" in stages and len(stages) > 1
+    # Same seed, same map
+    other = demo / "map"
+    for name in ("trajectory.txt", "rgmap.json"):
+        assert (tmp_path / "out" / "map" / name).read_bytes() == (other / name).read_bytes()
+
+
+def test_an_earlier_demo_is_replaced(demo: Path) -> None:
+    before = (demo / "recording.clf").read_bytes()
+    run_demo(demo, seed=2, duration=SECONDS)
+    assert names(demo) == ["map", "recording.clf", "truth.json"]
+    assert names(demo.parent) == ["out"]
+    assert (demo / "recording.clf").read_bytes() != before
+
+
+@pytest.mark.parametrize("place", [".", "map"])
+def test_what_a_user_put_there_is_kept(tmp_path: Path, place: str) -> None:
+    mine = tmp_path / "out" / place / "thesis.tex"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("years of work")
+    with pytest.raises(MapError, match=r"thesis\.tex"):
+        run_demo(tmp_path / "out", duration=SECONDS)
+    assert mine.read_text() == "years of work"
+    assert names(tmp_path) == ["out"]
+
+
+def test_a_file_in_the_place_of_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    with pytest.raises(MapError, match="is a file"):
+        run_demo(tmp_path / "out")
+
+
+@pytest.mark.parametrize("before", ["nothing", "demo"])
+def test_ctrl_c_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str
+) -> None:
+    if before == "demo":
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "truth.json").write_text("of the earlier demo")
+
+    def stop(*args: object, **kwargs: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "build_map", stop)
+    with pytest.raises(KeyboardInterrupt):
+        run_demo(tmp_path / "out", duration=SECONDS)
+    assert names(tmp_path) == (["out"] if before == "demo" else [])
+    if before == "demo":
+        assert (tmp_path / "out" / "truth.json").read_text() == "of the earlier demo"
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*args: object, **kwargs: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(rgslam.demo, "_swap_in", full)
+    with pytest.raises(MapError, match="No space left on device"):
+        run_demo(tmp_path / "out", duration=SECONDS)
+    assert names(tmp_path) == []
+
+
+def test_unknown_worlds_are_named(tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match="castle"):
+        run_demo(tmp_path / "out", world="castle")
+    assert names(tmp_path) == []
