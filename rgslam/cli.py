@@ -235,7 +235,8 @@ def check(
 ) -> None:
     """Say what is in a recording and what is wrong.
 
-    One finding per line. The exit code is 0 when the recording can be mapped, warnings or not, and 1 when it cannot.
+    One finding per line. The exit code is 0 when the recording can be mapped, warnings or not, and
+    1 when it cannot.
 
     \b
     Example:
