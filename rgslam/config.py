@@ -29,7 +29,9 @@ class ScanMatchingConfig(StageConfig):
     local_keyframes: int = Field(12, ge=1)  # newest keyframes that a scan is aligned with
     keyframe_distance: float = Field(0.4, gt=0.0)  # m between keyframes
     keyframe_angle_deg: float = Field(20.0, gt=0.0)  # turn between keyframes
-    min_inliers: float = Field(0.4, ge=0.0, le=1.0)  # share of points below which a match is doubted
+    min_inliers: float = Field(
+        0.4, ge=0.0, le=1.0
+    )  # share of points below which a match is doubted
 
 
 class LoopClosingConfig(StageConfig):
@@ -74,7 +76,9 @@ class OccupancyGridConfig(StageConfig):
     resolution: float = Field(0.05, gt=0.0)  # m per cell
     # A hit says more than a pass: a beam that grazes a wall passes through its cells.
     hit_weight: float = Field(2.0, gt=0.0)
-    end_uncertainty: float = Field(0.05, ge=0.0)  # m before a hit left undecided (range noise, 95 %)
+    end_uncertainty: float = Field(
+        0.05, ge=0.0
+    )  # m before a hit left undecided (range noise, 95 %)
     no_return_quantile: float = Field(0.95, gt=0.0, le=1.0)  # of the ranges: reach of a lost beam
     extent_quantile: float = Field(0.999, gt=0.5, le=1.0)  # of the end points that span the grid
     largest_cells: int = Field(64_000_000, ge=1)  # 0.8 GB for the counts and the grid
@@ -85,7 +89,9 @@ class GatewayConfig(StageConfig):
 
     door_leaf: float = Field(1.2, gt=0.0)  # m, widest single door leaf in use
     longest: float = Field(6.0, gt=0.0)  # m, longest virtual line; wider is one space for an eye
-    slide: float = Field(0.3, gt=0.0)  # m, posts are moved this far to see whether a line is shortest
+    slide: float = Field(
+        0.3, gt=0.0
+    )  # m, posts are moved this far to see whether a line is shortest
     post_turn_deg: float = Field(25.0, gt=0.0, lt=180.0)  # a wall that juts out by more has a post
     alignment_deg: float = Field(15.0, gt=0.0, lt=45.0)  # wider than a leaf: must continue a wall
     free_depth: float = Field(0.5, gt=0.0)  # m on either side: a robot's or a person's body
@@ -102,10 +108,12 @@ class GatewayConfig(StageConfig):
 class RegionConfig(StageConfig):
     """Split of the free space into regions (see `rgslam.regions`)."""
 
-    # m, longest side of a free-standing obstacle that divides nothing: chair, bin, table leg, person.
+    # m, longest side of a free-standing obstacle that divides nothing: chair, bin, leg, person.
     largest_object: float = Field(0.8, ge=0.0)
     least_radius: float = Field(0.35, gt=0.0)  # m, inscribed circle: a place a person can stand in
-    least_area: float = Field(1.5, gt=0.0)  # m^2, a cubicle; smaller pieces belong to their neighbour
+    least_area: float = Field(
+        1.5, gt=0.0
+    )  # m^2, a cubicle; smaller pieces belong to their neighbour
     hallway_elongation: float = Field(3.0, gt=1.0)  # length over width
     hallway_width: float = Field(4.0, gt=0.0)  # m, widest hallway (above it is an open space)
     open_space_width: float = Field(6.0, gt=0.0)  # m, a room this wide both ways is an open space
@@ -139,7 +147,9 @@ class Config(StageConfig):
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(str(part) for part in first["loc"]) or "top level"
-            raise ConfigError(f"{path}: {place}: {first['msg']} (got {first['input']!r})") from error
+            raise ConfigError(
+                f"{path}: {place}: {first['msg']} (got {first['input']!r})"
+            ) from error
 
     def to_yaml(self) -> str:
         """The whole configuration as YAML, defaults written out."""

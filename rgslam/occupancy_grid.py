@@ -89,7 +89,7 @@ def no_return_reach(scans: Sequence[LaserScan], share: float) -> float:
     far as this sensor in this building does return echoes: a percentile of all valid ranges.
     """
     step = max(1, len(scans) // 2000)
-    ranges = np.concatenate([s.ranges[np.isfinite(s.ranges)] for s in scans[::step]] or [[]])
+    ranges = np.concatenate([s.ranges[np.isfinite(s.ranges)] for s in scans[::step]])
     return float(np.quantile(ranges, share)) if len(ranges) else 0.0
 
 
@@ -163,7 +163,7 @@ def build_occupancy_grid(
     wTb = np.asarray(wTb, float)
     if len(scans) == 0 or wTb.shape != (len(scans), 3):
         raise MapError(f"{len(scans)} scans and poses of shape {wTb.shape} make no occupancy grid")
-    usable = np.flatnonzero(np.isfinite(wTb).all(axis=1))
+    usable = np.flatnonzero(np.isfinite(wTb).all(axis=1)).tolist()
     if len(usable) == 0:
         raise MapError("no scan has a finite pose")
     reach = no_return_reach(scans, config.no_return_quantile)

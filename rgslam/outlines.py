@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Outlines of a set of cells, followed along the cracks between cells.
 
-Coordinates are cells: (x, y) = (column, row), cell (row, col) covers [col, col + 1) x [row, row + 1),
-so an outline is exact: no half-cell bias as with pixel-centre contours. The set lies to the left of
-the walking direction (rows counted upwards): outer outlines run counter-clockwise, holes clockwise.
+Coordinates are cells: (x, y) = (column, row), and cell (row, col) covers the square from (col, row)
+to (col + 1, row + 1), so an outline is exact: no half-cell bias as with pixel-centre contours. The
+set lies to the left of the walking direction (rows counted upwards): outer outlines run
+counter-clockwise, holes clockwise.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import cv2
@@ -36,12 +38,12 @@ class Outlines:
 
     def polygons(self) -> list[FloatArray]:
         """The polygons one by one, (n, 2) each."""
-        return [self.points[a:b] for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]
+        return [self.points[a:b] for a, b in itertools.pairwise(self.starts)]
 
 
 @nb.njit(cache=True)
 def _left_right(cells: BoolArray, x: int, y: int, d: int) -> tuple[bool, bool]:
-    """Whether the cells left and right of the unit edge from lattice point (x, y) are in the set."""
+    """Whether the cells left and right of the unit edge from point (x, y) are in the set."""
     height, width = cells.shape
     if d == 0:
         lr, lc, rr, rc = y, x, y - 1, x
@@ -58,7 +60,7 @@ def _left_right(cells: BoolArray, x: int, y: int, d: int) -> tuple[bool, bool]:
 
 @nb.njit(cache=True)
 def _trace(cells: BoolArray) -> tuple[IntArray, IntArray]:
-    """Corner points of all outlines (n, 2) and the start of each outline (with the end appended)."""
+    """Corner points of all outlines (n, 2); where each begins, with the end appended."""
     height, width = cells.shape
     visited = np.zeros((height + 1, width + 1), np.bool_)  # bottom edges of cells, walked in +x
     points = [(0, 0)]
@@ -100,7 +102,7 @@ def trace_outlines(cells: BoolArray, tolerance: float) -> Outlines:
     """
     raw, starts = _trace(np.ascontiguousarray(cells))
     polygons = []
-    for a, b in zip(starts[:-1], starts[1:], strict=True):
+    for a, b in itertools.pairwise(starts):
         ring = raw[a:b].astype(np.int32)
         if tolerance > 0.0:
             simple = cv2.approxPolyDP(ring[:, None, :], tolerance, True)[:, 0, :]
@@ -116,7 +118,7 @@ def join_polygons(polygons: list[FloatArray]) -> Outlines:
     points = np.concatenate(polygons) if polygons else np.zeros((0, 2))
     following = np.arange(1, len(points) + 1)
     preceding = np.arange(-1, len(points) - 1)
-    for a, b in zip(starts[:-1], starts[1:], strict=True):
+    for a, b in itertools.pairwise(starts):
         following[b - 1], preceding[a] = a, b - 1
     return Outlines(points, following, preceding, starts)
 

@@ -1,0 +1,14 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Gateways: where one region leads into another, held by two posts (RG mapping).
+
+`virtual_lines` finds locally shortest chords between posts, `passages` chooses those that join two
+places, `posts` says where exactly the posts stand, `classes` what kind of gateway it is, and
+`crossings` when the robot went through.
+"""
+
+from __future__ import annotations
+
+from rgslam.gateways.crossings import detect_crossings
+
+__all__ = ["detect_crossings"]

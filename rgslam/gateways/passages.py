@@ -59,7 +59,14 @@ def draw_wall(free: BoolArray, x0: float, y0: float, x1: float, y1: float) -> No
 
 @nb.njit(cache=True)
 def _side(
-    free: BoolArray, x: float, y: float, nx: float, ny: float, length: float, depth: float, far: float
+    free: BoolArray,
+    x: float,
+    y: float,
+    nx: float,
+    ny: float,
+    length: float,
+    depth: float,
+    far: float,
 ) -> tuple[float, float]:
     """Median free width and depth on the side (nx, ny) of a line with midpoint (x, y)."""
     widths = np.empty(int(depth) + 1)

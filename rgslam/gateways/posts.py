@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The rgslam authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The two posts of a passage: where the virtual line touches the walls, and how well that is known."""
+"""The two posts of a passage: where the virtual line touches the walls, and how surely."""
 
 from __future__ import annotations
 

@@ -23,6 +23,9 @@ from rgslam.types import FloatArray, IntArray
 
 BoolArray = npt.NDArray[np.bool_]
 
+# How far a rastered straight wall strays from itself, cells.
+_STAIRCASE = 0.75
+
 
 @dataclass(frozen=True, eq=False)
 class VirtualLines:
@@ -71,7 +74,7 @@ def is_free_segment(free: BoolArray, x0: float, y0: float, x1: float, y1: float)
 
 @nb.njit(cache=True)
 def _slide(
-    points: FloatArray, following: IntArray, x: float, y: float, vertex: int, distance: float
+    points: FloatArray, order: IntArray, x: float, y: float, vertex: int, distance: float
 ) -> tuple[float, float]:
     """Point reached from (x, y) by `distance` along the outline, `vertex` being the next one."""
     for _ in range(64):
@@ -81,129 +84,115 @@ def _slide(
             return x + f * (points[vertex, 0] - x), y + f * (points[vertex, 1] - y)
         distance -= step
         x, y = points[vertex, 0], points[vertex, 1]
-        vertex = following[vertex]
+        vertex = order[vertex]
     return x, y
 
 
 @nb.njit(cache=True)
+def _slides(
+    outline: tuple[FloatArray, IntArray, IntArray],
+    end: tuple[float, float, int, int],
+    distances: FloatArray,
+) -> FloatArray:
+    """Points (2 * n, 2) reached from an end (x, y, vertex before, after) along its wall."""
+    points, following, previous = outline
+    x, y, before, after = end
+    reached = np.empty((2 * len(distances), 2))
+    for k in range(len(distances)):
+        reached[2 * k] = _slide(points, following, x, y, after, distances[k])
+        reached[2 * k + 1] = _slide(points, previous, x, y, before, distances[k])
+    return reached
+
+
+@nb.njit(cache=True)
 def _shrinks(
-    points: FloatArray,
-    following: IntArray,
-    previous: IntArray,
-    x: float,
-    y: float,
-    after: int,
-    before: int,
-    ox: float,
-    oy: float,
+    outline: tuple[FloatArray, IntArray, IntArray],
+    end: tuple[float, float, int, int],
+    other: tuple[float, float, int, int],
     slides: FloatArray,
-    slack: float,
 ) -> bool:
-    """Whether sliding the end (x, y) along its wall makes the chord to (ox, oy) shorter."""
-    length = np.hypot(x - ox, y - oy)
-    for s in slides:
-        px, py = _slide(points, following, x, y, after, s)
-        if np.hypot(px - ox, py - oy) < length - slack - 0.1 * s:
-            return True
-        px, py = _slide(points, previous, x, y, before, s)
-        if np.hypot(px - ox, py - oy) < length - slack - 0.1 * s:
+    """Whether sliding one end along its wall makes the chord to the other end shorter."""
+    length = np.hypot(end[0] - other[0], end[1] - other[1])
+    reached = _slides(outline, end, slides)
+    for k in range(len(reached)):
+        # Slack for the staircase of slanted walls, in cells, and for walls not quite square.
+        slack = _STAIRCASE + 0.1 * slides[k // 2]
+        if np.hypot(reached[k, 0] - other[0], reached[k, 1] - other[1]) < length - slack:
             return True
     return False
 
 
 @nb.njit(cache=True)
 def _extension(
-    points: FloatArray,
-    following: IntArray,
-    previous: IntArray,
-    x: float,
-    y: float,
-    after: int,
-    before: int,
-    ox: float,
-    oy: float,
+    outline: tuple[FloatArray, IntArray, IntArray],
+    end: tuple[float, float, int, int],
+    other: tuple[float, float, int, int],
     reaches: FloatArray,
 ) -> float:
-    """Cosine between the chord from (ox, oy) to (x, y) and the wall beyond; 1 = its extension."""
-    length = np.hypot(x - ox, y - oy)
+    """Cosine between the chord, prolonged beyond an end, and the wall there; 1 = they continue."""
+    chord = np.hypot(end[0] - other[0], end[1] - other[1])
+    ux, uy = (end[0] - other[0]) / chord, (end[1] - other[1]) / chord
     best = -1.0
-    for reach in reaches:
-        for k in range(2):
-            if k == 0:
-                px, py = _slide(points, following, x, y, after, reach)
-            else:
-                px, py = _slide(points, previous, x, y, before, reach)
-            wall = np.hypot(px - x, py - y)
-            if wall > 0.0:
-                best = max(best, ((px - x) * (x - ox) + (py - y) * (y - oy)) / (wall * length))
+    for point in _slides(outline, end, reaches):
+        dx, dy = point[0] - end[0], point[1] - end[1]
+        length = np.hypot(dx, dy)
+        if length > 0.0:
+            best = max(best, (dx * ux + dy * uy) / length)
     return best
+
+
+@nb.njit(cache=True)
+def _foot(
+    points: FloatArray, j: int, k: int, x: float, y: float
+) -> tuple[bool, tuple[float, float, int, int]]:
+    """Foot of the perpendicular from (x, y) on the wall j-k, and whether it faces the point."""
+    bx, by = points[j, 0], points[j, 1]
+    ex, ey = points[k, 0] - bx, points[k, 1] - by
+    t = ((x - bx) * ex + (y - by) * ey) / (ex * ex + ey * ey)
+    # The free space lies to the left of its outline.
+    faces = 0.0 < t < 1.0 and ex * (y - by) - ey * (x - bx) > 0.0
+    return faces, (bx + t * ex, by + t * ey, j, k)
 
 
 @nb.njit(cache=True)
 def _candidates(
     free: BoolArray,
-    points: FloatArray,
-    following: IntArray,
-    previous: IntArray,
+    outline: tuple[FloatArray, IntArray, IntArray],
     posts: IntArray,
     longest: float,
     slides: FloatArray,
-    slack: float,
 ) -> list[tuple[float, float, float, float, float, float]]:
+    """Locally shortest chords: x, y of both ends and how much each end extends its wall."""
+    points, following, previous = outline
     found = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
-    far = np.array([1.5, 3.0]) * slides[-1]
     found.clear()
+    reaches = np.array([1.5, 3.0]) * slides[-1]
     is_post = np.zeros(len(points), np.bool_)
     for i in posts:
         is_post[i] = True
     for i in posts:
-        ax, ay = points[i, 0], points[i, 1]
+        a = (points[i, 0], points[i, 1], previous[i], following[i])
         for j in range(len(points)):
             k = following[j]
-            # Post to post.
-            bx, by = points[j, 0], points[j, 1]
-            if is_post[j] and i < j and np.hypot(bx - ax, by - ay) <= longest:
+            ends = [(points[j, 0], points[j, 1], previous[j], k)]  # post to post
+            if not is_post[j] or j <= i:
+                ends.clear()
+            if i not in (j, k):
+                faces, foot = _foot(points, j, k, a[0], a[1])  # post to the wall across
+                if faces:
+                    ends.append(foot)
+            for b in ends:
                 if (
-                    not _shrinks(
-                        points, following, previous, ax, ay, following[i], previous[i],
-                        bx, by, slides, slack,
-                    )
-                    and not _shrinks(
-                        points, following, previous, bx, by, following[j], previous[j],
-                        ax, ay, slides, slack,
-                    )
-                    and is_free_segment(free, ax, ay, bx, by)
-                ):  # fmt: skip
-                    ca = _extension(
-                        points, following, previous, ax, ay, following[i], previous[i], bx, by, far
-                    )
-                    cb = _extension(
-                        points, following, previous, bx, by, following[j], previous[j], ax, ay, far
-                    )
-                    found.append((ax, ay, bx, by, ca, cb))
-            # Post to the foot of its perpendicular on the wall from vertex j to vertex k.
-            if j == i or k == i:
-                continue
-            ex, ey = points[k, 0] - bx, points[k, 1] - by
-            edge = np.hypot(ex, ey)
-            t = ((ax - bx) * ex + (ay - by) * ey) / (edge * edge)
-            if t <= 0.0 or t >= 1.0:
-                continue
-            fx, fy = bx + t * ex, by + t * ey
-            length = np.hypot(fx - ax, fy - ay)
-            # The free space lies to the left of the wall; the post must too.
-            if length > longest or ex * (ay - by) - ey * (ax - bx) <= 0.0:
-                continue
-            if _shrinks(
-                points, following, previous, ax, ay, following[i], previous[i],
-                fx, fy, slides, slack,
-            ) or _shrinks(points, following, previous, fx, fy, k, j, ax, ay, slides, slack):  # fmt: skip
-                continue
-            if is_free_segment(free, ax, ay, fx, fy):
-                ca = _extension(
-                    points, following, previous, ax, ay, following[i], previous[i], fx, fy, far
-                )
-                found.append((ax, ay, fx, fy, ca, 0.0))
+                    np.hypot(b[0] - a[0], b[1] - a[1]) <= longest
+                    and not _shrinks(outline, a, b, slides)
+                    and not _shrinks(outline, b, a, slides)
+                    and is_free_segment(free, a[0], a[1], b[0], b[1])
+                ):
+                    extends_a = _extension(outline, a, b, reaches)
+                    # The foot of a perpendicular is square on to its wall by construction.
+                    is_foot = b[2] == j
+                    extends_b = 0.0 if is_foot else _extension(outline, b, a, reaches)
+                    found.append((a[0], a[1], b[0], b[1], extends_a, extends_b))
     return found
 
 
@@ -231,7 +220,7 @@ def find_virtual_lines(
         free: (H, W) free cells.
         outlines: their simplified outlines.
         longest: longest virtual line, cells.
-        slide: how far either end is moved along its wall to see whether the line gets shorter, cells.
+        slide: how far either end is moved along its wall to see whether the line shrinks, cells.
         least_turn: smallest angle by which a wall juts out to be a post, rad.
         near_wall: (H, W) cells at a wall that was seen; both ends must lie in one, for the edge of
             the unknown has corners too, and they are no posts.
@@ -239,8 +228,8 @@ def find_virtual_lines(
     posts = find_posts(outlines, least_turn)
     slides = np.array([0.5, 1.0]) * slide
     found = _candidates(
-        np.ascontiguousarray(free), outlines.points, outlines.next, outlines.previous,
-        posts, longest, slides, 0.75,
+        np.ascontiguousarray(free), (outlines.points, outlines.next, outlines.previous),
+        posts, longest, slides,
     )  # fmt: skip
     table = np.array(found, float).reshape(-1, 6)
     ends, extends = table[:, :4].reshape(-1, 2, 2), table[:, 4:]

@@ -27,5 +27,3 @@ def fill_islands(free: BoolArray, largest: float) -> BoolArray:
     small = inside & (np.maximum(w, h) <= largest)
     small[0] = False  # label 0 is the free space itself
     return np.asarray(free | small[labels], bool)
-
-

@@ -22,7 +22,7 @@ from rgslam.types import FloatArray, IntArray
 BoolArray = npt.NDArray[np.bool_]
 LabelArray = npt.NDArray[np.int32]
 
-# Wall noise of a good grid: laser noise and pose error, 2 sigma, m. Outlines within it are straight.
+# Noise of walls in a good grid: laser noise and pose error, 2 sigma, m.
 _WALL_NOISE = 0.06
 
 
@@ -63,6 +63,19 @@ def _flood(labels: LabelArray, free: BoolArray) -> None:
                 tail += 1
 
 
+@nb.njit(cache=True)
+def _largest_clearance(
+    labels: LabelArray, clearance: npt.NDArray[np.float32], count: int
+) -> npt.NDArray[np.float32]:
+    """Largest clearance (count,) in the cells of each label."""
+    largest = np.zeros(count, np.float32)
+    for row in range(labels.shape[0]):
+        for col in range(labels.shape[1]):
+            label = labels[row, col]
+            largest[label] = max(largest[label], clearance[row, col])
+    return largest
+
+
 def _side_labels(labels: LabelArray, posts: FloatArray) -> IntArray:
     """Labels (m, 2) left and right of the lines; 0 where a line has none beside its midpoint."""
     sides = np.zeros((len(posts), 2), np.int64)
@@ -82,7 +95,7 @@ def _side_labels(labels: LabelArray, posts: FloatArray) -> IntArray:
 def _merge_small(
     sides: IntArray, widths: FloatArray, areas: FloatArray, radii: FloatArray, config: Config
 ) -> IntArray:
-    """New label (n + 1,) of every piece: pieces too small to be in join the neighbour they open to."""
+    """New label (n + 1,) of every piece: those too small to be in join their neighbour."""
     parent = np.arange(len(areas))
     areas = areas.copy()
     for piece in np.argsort(areas[1:], kind="stable") + 1:
@@ -113,8 +126,8 @@ def partition_free_space(
 ) -> Partition:
     """Split free space at its passages.
 
-    Pieces that are too small to be in (`RegionConfig.least_area`, `least_radius`) join the neighbour
-    they open to most widely; those that open to none keep label 0: speckles behind windows, rays
+    Pieces too small to be in (`RegionConfig.least_area`, `least_radius`) join the neighbour they
+    open to most widely; those that open to none keep label 0: speckles behind windows, rays
     that leaked. All other free cells get a label, and so do small free-standing objects: they
     stand in a region.
 
@@ -141,11 +154,10 @@ def partition_free_space(
         draw_wall(walls, a[0], a[1], b[0], b[1])
     count, labels = cv2.connectedComponents(walls.astype(np.uint8), connectivity=4)
     sides = _side_labels(labels, posts)
-    areas = np.bincount(labels.ravel(), minlength=count) * resolution**2
-    radii = np.zeros(count, np.float32)
-    np.maximum.at(radii, labels.ravel(), clearance_of(walls).ravel())
+    areas = np.bincount(labels.ravel(), minlength=count).astype(float) * resolution**2
+    radii = _largest_clearance(labels, clearance_of(walls), count).astype(float) * resolution
     widths = np.linalg.norm(posts[:, 1] - posts[:, 0], axis=1)
-    merged = _merge_small(sides, widths, areas, radii * resolution, config)
+    merged = _merge_small(sides, widths, areas, radii, config)
 
     labels = np.ascontiguousarray(merged[labels].astype(np.int32))
     _flood(labels, np.ascontiguousarray(space))
