@@ -10,6 +10,7 @@ Matplotlib's Agg canvas and without pyplot: no global state, the same map gives 
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -374,9 +375,11 @@ def _label_region(
     anchor = ax.transData.transform(label_place(region.polygon)[None])[0]
     outline = ax.transData.transform(region.polygon)
     texts = (region_name(region), f"R{region.id}")
-    for text, size in [(text, size) for text in texts for size in _REGION_LABEL_SIZES]:
+    # Rather a smaller label in the middle than a large one in a corner, rather that than no class.
+    reaches = (20.0, float(np.ptp(outline, axis=0).max()))
+    for text, reach, size in itertools.product(texts, reaches, _REGION_LABEL_SIZES):
         font = FontProperties(_FONT, weight="bold", size=size)
-        place = placer.place_inside(anchor, measure.size(text, font), outline)
+        place = placer.place_inside(anchor, measure.size(text, font), outline, reach)
         if place is not None:
             _write(ax, place.centre, text, font, colour)
             return

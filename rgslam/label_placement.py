@@ -42,14 +42,19 @@ class LabelPlacer:
         self._take(np.hstack([points - margin, points + margin]))
 
     def place_inside(
-        self, anchor: FloatArray, size: tuple[float, float], outline: FloatArray
+        self, anchor: FloatArray, size: tuple[float, float], outline: FloatArray, reach: float
     ) -> Place | None:
         """Take the free place nearest to `anchor` where a label's box lies inside the outline.
+
+        Args:
+            anchor: the best place (2,).
+            size: width and height of the label.
+            outline: (n, 2).
+            reach: how far from the anchor the label may go.
 
         Returns:
             None where no place inside is free.
         """
-        reach = float(np.ptp(outline, axis=0).max())
         radii = np.linspace(0.0, reach, 40)[1:]
         rings = (radii[:, None, None] * _directions(16)).reshape(-1, 2)
         centres = np.asarray(anchor, float) + np.vstack([np.zeros((1, 2)), rings])
@@ -100,7 +105,8 @@ class LabelPlacer:
 
     def _on_picture(self, boxes: FloatArray) -> npt.NDArray[np.bool_]:
         inside = (boxes[:, :2] >= self._bounds[:2]) & (boxes[:, 2:] <= self._bounds[2:])
-        return inside.all(axis=1)
+        whole: npt.NDArray[np.bool_] = inside[:, 0] & inside[:, 1]
+        return whole
 
     def _overlaps(self, boxes: FloatArray) -> FloatArray:
         """Area (n,) of taken boxes that each box covers."""

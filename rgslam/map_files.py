@@ -8,14 +8,17 @@ printed to 1e-9 m, quaternions to 1e-12.
 `keyframes.csv`: the pose in w and the covariance *of these columns*, that is in w (`Keyframes`
 keeps it in the keyframe's own frame, as GTSAM does; both are the same matrix turned by the yaw).
 
-`graph.g2o`: VERTEX_SE2 and EDGE_SE2 with ids = keyframe numbers. A comment line
-`# rgslam edges: match` says where the edges below it come from (`EdgeKind`).
+`graph.g2o`: VERTEX_SE2 and EDGE_SE2 with ids = keyframe numbers. Comment lines such as
+`# rgslam edges: 12 match`, one for each run of equals, say where the edges come from (`EdgeKind`),
+in order. They stand at the end: GTSAM's reader stops at a comment.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import itertools
+import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -134,21 +137,24 @@ def encode_graph(keyframes: Keyframes, edges: Iterable[PoseEdge]) -> bytes:
     Raises:
         MapError: an edge leads to no keyframe, or its covariance has no inverse.
     """
+    edges = tuple(edges)
     lines = [
         f"VERTEX_SE2 {k} {x:.9f} {y:.9f} {theta:.9f}\n"
-        for k, (x, y, theta) in enumerate(np.asarray(keyframes.wTb, float).reshape(-1, 3))
+        for k, (x, y, theta) in enumerate(np.asarray(keyframes.wTb, float).reshape(-1, 3).tolist())
     ]
-    count, kind = len(lines), None
-    for edge in edges:
+    count = len(lines)
+    names = [f"graph: edge {edge.i}-{edge.j}: covariance" for edge in edges]
+    informations = _inverses([edge.covariance for edge in edges], names)
+    for edge, information in zip(edges, informations, strict=True):
         if not (0 <= edge.i < count and 0 <= edge.j < count):
             raise MapError(f"graph: edge {edge.i}-{edge.j} leads to no keyframe (of {count})")
-        if edge.kind is not kind:
-            kind = edge.kind
-            lines.append(f"{_EDGES_COMMENT}{kind.value}\n")
-        information = _inverse(edge.covariance, f"graph: edge {edge.i}-{edge.j}: covariance")
-        numbers = [*np.asarray(edge.iTj, float), *information[_UPPER]]
-        text = " ".join(repr(float(number)) for number in numbers)
+        numbers = np.concatenate([np.asarray(edge.iTj, float), information[_UPPER]])
+        if not np.isfinite(numbers).all():
+            raise MapError(f"graph: edge {edge.i}-{edge.j} holds a value that is not finite")
+        text = " ".join(map(repr, numbers.tolist()))
         lines.append(f"EDGE_SE2 {int(edge.i)} {int(edge.j)} {text}\n")
+    for kind, run in itertools.groupby(edges, key=lambda edge: edge.kind.value):
+        lines.append(f"{_EDGES_COMMENT}{sum(1 for _ in run)} {kind}\n")
     return "".join(lines).encode("ascii")
 
 
@@ -163,59 +169,73 @@ def decode_graph(text: bytes, name: str, count: int) -> tuple[PoseEdge, ...]:
     Raises:
         MapError: an unknown line, an edge that leads nowhere or whose kind nothing names.
     """
-    vertices, kind, edges = 0, None, []
+    vertices = 0
+    rows: list[tuple[str, list[float]]] = []
+    kinds: list[EdgeKind] = []
     for place, line in _lines(text, name):
         words = line.split()
         if line.startswith(_EDGES_COMMENT):
-            kind = _edge_kind(line[len(_EDGES_COMMENT) :].strip(), place)
+            kinds += _edge_kinds(line[len(_EDGES_COMMENT) :].split(), place, len(rows))
         elif words[0] == "VERTEX_SE2":
             _numbers(words[1:], 4, place)
             if words[1] != str(vertices):
                 raise MapError(f"{place}: vertex {words[1]} where {vertices} is next")
             vertices += 1
-        elif words[0] == "EDGE_SE2" and kind is not None:
-            edges.append(_edge(words[1:], kind, place, count))
+        elif words[0] == "EDGE_SE2":
+            rows.append((place, _edge_numbers(words[1:], place, count)))
         else:
             raise MapError(f"{place}: unexpected {line[:40]!r}")
     if vertices != count:
         raise MapError(f"{name}: {vertices} vertices, but keyframes.csv has {count} keyframes")
-    return tuple(edges)
+    if len(kinds) != len(rows):
+        raise MapError(f"{name}: {len(rows)} edges, but comments on {len(kinds)}; cut off?")
+    return _edges(rows, kinds)
 
 
-def _edge(words: list[str], kind: EdgeKind, place: str, count: int) -> PoseEdge:
+def _edge_numbers(words: list[str], place: str, count: int) -> list[float]:
     numbers = _numbers(words, 11, place)
-    ends = [int(number) for number in numbers[:2]]
-    if ends != numbers[:2] or not all(0 <= end < count for end in ends):
+    if not all(end.is_integer() and 0 <= end < count for end in numbers[:2]):
         raise MapError(f"{place}: edge {words[0]}-{words[1]} leads to no keyframe (of {count})")
-    information = np.zeros((3, 3))
-    information[_UPPER] = numbers[5:]
-    information = information + np.triu(information, 1).T
-    covariance = _inverse(information, f"{place}: information")
-    return PoseEdge(ends[0], ends[1], np.asarray(numbers[2:5]), covariance, kind)
+    return numbers
 
 
-def _edge_kind(text: str, place: str) -> EdgeKind:
+def _edges(rows: list[tuple[str, list[float]]], kinds: list[EdgeKind]) -> tuple[PoseEdge, ...]:
+    table = np.asarray([numbers for _, numbers in rows], float).reshape(-1, 11)
+    informations = np.zeros((len(table), 3, 3))
+    informations[:, _UPPER[0], _UPPER[1]] = table[:, 5:]
+    informations[:, _UPPER[1], _UPPER[0]] = table[:, 5:]
+    covariances = _inverses(informations, [f"{place}: information" for place, _ in rows])
+    return tuple(
+        PoseEdge(int(row[0]), int(row[1]), row[2:5].copy(), covariance, kind)
+        for row, covariance, kind in zip(table, covariances, kinds, strict=True)
+    )
+
+
+def _edge_kinds(words: list[str], place: str, limit: int) -> list[EdgeKind]:
+    """A run of equal kinds, which a comment names; no longer than there are edges."""
     try:
-        return EdgeKind(text)
+        count, kind = words
+        return [EdgeKind(kind)] * min(int(count), limit + 1)
     except ValueError as error:
-        raise MapError(f"{place}: unknown kind of edges {text!r}") from error
+        raise MapError(
+            f"{place}: {' '.join(words)[:40]!r} is no number of edges of a kind"
+        ) from error
 
 
-def _inverse(matrix: FloatArray, what: str) -> FloatArray:
-    """Inverse of a symmetric positive definite matrix (3, 3)."""
-    matrix = np.asarray(matrix, float)
+def _inverses(matrices: FloatArray | list[FloatArray], names: list[str]) -> FloatArray:
+    """Inverses (n, 3, 3) of symmetric positive definite matrices, which messages call `names`."""
+    stack = np.asarray(matrices, float).reshape(-1, 3, 3)
+    variances = np.diagonal(stack, axis1=1, axis2=2)
+    good = np.isfinite(stack).all(axis=(1, 2)) & (variances > 0.0).all(axis=1)
     # Scaled to a unit diagonal, metres and radians lose no digits against each other.
-    variances = np.diag(matrix)
-    if not (np.isfinite(matrix).all() and (variances > 0.0).all()):
-        raise MapError(f"{what} is not positive definite: {matrix.tolist()}")
-    scale = np.sqrt(variances)
-    try:
-        lower = np.linalg.cholesky(matrix / np.outer(scale, scale))
-    except np.linalg.LinAlgError as error:
-        raise MapError(f"{what} is not positive definite: {matrix.tolist()}") from error
-    root = np.linalg.inv(lower) / scale
-    inverse: FloatArray = root.T @ root
-    return inverse
+    scale = np.sqrt(np.where(good[:, None], variances, 1.0))
+    scaled = np.where(good[:, None, None], stack, np.eye(3)) / (scale[:, :, None] * scale[:, None])
+    good &= (np.linalg.eigvalsh(scaled) > 0.0).all(axis=1)
+    for bad in np.flatnonzero(~good)[:1]:
+        raise MapError(f"{names[bad]} is not positive definite: {stack[bad].tolist()}")
+    inverse = np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None])
+    symmetric: FloatArray = (inverse + inverse.transpose(0, 2, 1)) / 2.0
+    return symmetric
 
 
 # --- Common to all --------------------------------------------------------------------------------
@@ -247,7 +267,7 @@ def _numbers(words: list[str], count: int, place: str) -> list[float]:
         numbers = [float(word) for word in words]
     except ValueError as error:
         raise MapError(f"{place}: {error}") from error
-    if not np.isfinite(numbers).all():
+    if not all(map(math.isfinite, numbers)):
         raise MapError(f"{place}: a value that is not finite: {' '.join(words)[:80]!r}")
     return numbers
 

@@ -271,7 +271,9 @@ def _number(value: Any, decimals: int) -> str:
 
 
 def _plot_script(figures: dict[str, Figure]) -> str:
-    config = {"responsive": True, "scrollZoom": True, "displaylogo": False}
+    # Plotly's default offers a button that sends the plot to a server.
+    config: Figure = {"responsive": True, "displaylogo": False, "showSendToCloud": False}
+    config |= {"plotlyServerURL": "", "modeBarButtonsToRemove": ["select2d", "lasso2d"]}
     calls = [
         f"Plotly.newPlot({_json(name)}, {_json(figure['data'])}, {_json(figure['layout'])},"
         f" {_json(config | {'scrollZoom': name == 'rg-map'})});"

@@ -55,10 +55,10 @@ def map_figure(rg_map: RGMap) -> Figure:
         _loop_trace(rg_map),
         _ellipse_trace(rg_map, factor),
     ]
-    axis = {"title": {"text": "x (m)"}, "gridcolor": _GRID_COLOUR, "zeroline": False}
+    axis = {"title": {"text": "x (m)"}, "showgrid": False, "zeroline": False, "ticks": "outside"}
     layout = {
         "height": 780,
-        "margin": {"l": 60, "r": 20, "t": 10, "b": 50},
+        "margin": {"l": 60, "r": 20, "t": 36, "b": 50},
         "font": _FONT,
         "plot_bgcolor": "#ffffff",
         "hovermode": "closest",
@@ -66,7 +66,7 @@ def map_figure(rg_map: RGMap) -> Figure:
         "hoverlabel": {"align": "left"},
         "xaxis": axis,
         "yaxis": {**axis, "title": {"text": "y (m)"}, "scaleanchor": "x"},
-        "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.01, "x": 0.0},
+        "legend": {"yanchor": "top", "y": 1.0, "xanchor": "left", "x": 1.01},
         "images": _grid_image(rg_map.grid),
     }
     return {"data": [trace for trace in traces if trace is not None], "layout": layout}
@@ -178,14 +178,14 @@ def _label_traces(rg_map: RGMap) -> list[Figure]:
         {
             **common,
             **_xy(np.reshape(regions, (-1, 2))),
-            "text": [escape(region_name(region)) for region in rg_map.regions],
+            "text": [f"<b>{escape(region_name(region))}</b>" for region in rg_map.regions],
             "textfont": {"size": 13, "color": "#1f2328"},
         },
         {
             **common,
             **_xy(np.reshape(gateways, (-1, 2))),
             "showlegend": False,
-            "text": [gateway_name(gateway) for gateway in rg_map.gateways],
+            "text": [f"<b>{gateway_name(gateway)}</b>" for gateway in rg_map.gateways],
             "textposition": "top right",
             "textfont": {
                 "size": 12,
@@ -229,7 +229,14 @@ def _path_dots(rg_map: RGMap) -> Figure | None:
             "size": 3.5,
             "color": _rounded(seconds, 2),
             "colorscale": "Viridis",
-            "colorbar": {"title": {"text": "time (s)"}, "thickness": 12, "len": 0.6},
+            "colorbar": {
+                "title": {"text": "time (s)"},
+                "thickness": 12,
+                "len": 0.45,
+                "yanchor": "bottom",
+                "y": 0.0,
+                "x": 1.01,
+            },
         },
         "hovertemplate": "t = %{marker.color:.1f} s<br>x %{x:.2f} m, y %{y:.2f} m<extra></extra>",
     }
@@ -282,7 +289,7 @@ def _ellipse_trace(rg_map: RGMap, factor: int) -> Figure | None:
     return {
         "type": "scatter",
         "mode": "lines",
-        "name": f"95 % ellipses × {factor}, {which}",
+        "name": f"95 % ellipses × {factor},<br>{which}",
         "visible": "legendonly",
         **_polylines(list(centres[:, None, :] + outlines.transpose(0, 2, 1))),
         "line": {"color": "#1c7ed6", "width": 1},
@@ -361,6 +368,8 @@ def sigma_figure(rg_map: RGMap) -> Figure:
                 "title": {"text": "heading σ (°)"},
                 "overlaying": "y",
                 "side": "right",
+                "tickmode": "auto",
+                "automargin": True,
                 "showgrid": False,
             },
             "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.01, "x": 0.0},

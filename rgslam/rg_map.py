@@ -223,7 +223,8 @@ def _read_config(path: Path) -> Config:
 
 def _encode_run(run: RunInfo) -> bytes:
     try:
-        text = json.dumps(dataclasses.asdict(run), indent=2, allow_nan=False, ensure_ascii=False)
+        content = {entry.name: getattr(run, entry.name) for entry in dataclasses.fields(run)}
+        text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
     except (TypeError, ValueError) as error:
         raise MapError(f"run.json: a value that JSON cannot hold: {error}") from error
     return (text + "\n").encode("utf-8", errors="replace")
