@@ -112,7 +112,7 @@ def demo(out: Out = Path("out/demo")) -> None:
         rg_map, evaluation = run_demo(out, progress=progress.update)
     print_map_summary(rg_map)
     print_evaluation(evaluation)
-    typer.echo(f"map written to {out}")
+    typer.echo(f"map written to {evaluation.folder}")
 
 
 @app.command("map")

@@ -45,6 +45,8 @@ class _RateColumn(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         speed = task.finished_speed or task.speed
+        if speed is None and task.elapsed:  # A short stage has no samples of its speed.
+            speed = task.completed / task.elapsed
         return Text("" if speed is None else f"{speed:.0f} {task.fields['unit']}/s")
 
 
