@@ -29,9 +29,8 @@ class ScanMatchingConfig(StageConfig):
     local_keyframes: int = Field(12, ge=1)  # newest keyframes that a scan is aligned with
     keyframe_distance: float = Field(0.4, gt=0.0)  # m between keyframes
     keyframe_angle_deg: float = Field(20.0, gt=0.0)  # turn between keyframes
-    min_inliers: float = Field(
-        0.4, ge=0.0, le=1.0
-    )  # share of points below which a match is doubted
+    min_inliers: float = Field(0.4, ge=0.0, le=1.0)  # share of points of a match to be trusted
+    beam_correlation: float = Field(5.0, ge=1.0)  # neighbouring beams that err alike: one counts
 
 
 class LoopClosingConfig(StageConfig):
@@ -59,15 +58,8 @@ class FactorGraphConfig(StageConfig):
     """The joint factor graph (see `rgslam.factor_graph`)."""
 
     loop_kernel: float = Field(2.0, gt=0.0)  # sigmas at which the influence of a loop fades
-
-
-class RefinementConfig(StageConfig):
-    """Alignment of all overlapping keyframes at the end (see `rgslam.refinement`)."""
-
-    gates: tuple[float, ...] = (0.3, 0.2, 0.12, 0.12)  # m, association gate of each round
-    partners: int = Field(12, ge=1)  # overlapping keyframes that each one is aligned with
-    min_overlap: float = Field(0.3, gt=0.0, le=1.0)  # share of the surface points that must meet
-    beam_correlation: float = Field(5.0, ge=1.0)  # neighbouring beams that err alike
+    max_loop_sigmas: float = Field(4.6, gt=0.0)  # a loop farther off is taken back
+    optimise_every: int = Field(50, ge=1)  # keyframes between optimisations while loops fit anyway
 
 
 class OccupancyGridConfig(StageConfig):
@@ -110,6 +102,7 @@ class RegionConfig(StageConfig):
 
     # m, longest side of a free-standing obstacle that divides nothing: chair, bin, leg, person.
     largest_object: float = Field(0.8, ge=0.0)
+    narrowest: float = Field(0.2, ge=0.0)  # m, a slit nobody and no robot fits through
     least_radius: float = Field(0.35, gt=0.0)  # m, inscribed circle: a place a person can stand in
     least_area: float = Field(
         1.5, gt=0.0
@@ -125,7 +118,6 @@ class Config(StageConfig):
     scan_matching: ScanMatchingConfig = ScanMatchingConfig()
     loop_closing: LoopClosingConfig = LoopClosingConfig()
     factor_graph: FactorGraphConfig = FactorGraphConfig()
-    refinement: RefinementConfig = RefinementConfig()
     occupancy_grid: OccupancyGridConfig = OccupancyGridConfig()
     gateways: GatewayConfig = GatewayConfig()
     regions: RegionConfig = RegionConfig()

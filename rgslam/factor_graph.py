@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The factor graph, on GTSAM: consistent pose estimation (Gutmann and Konolige 1999, section 3).
+
+Variables so far are the planar keyframe poses `X(k)`; the first one is the world frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+
+from rgslam.geometry import between
+from rgslam.types import EdgeKind, FloatArray, PoseEdge
+
+#: The first keyframe defines the world frame: its prior only fixes the gauge.
+_GAUGE_SIGMA = 1e-6
+
+
+class PoseGraph:
+    """Keyframe poses and the measured relative poses between them."""
+
+    def __init__(self, loop_kernel: float) -> None:
+        """An empty graph.
+
+        Args:
+            loop_kernel: sigmas at which the influence of a loop starts to fade (Cauchy kernel).
+        """
+        self.edges: list[PoseEdge] = []
+        self._loop_kernel = loop_kernel
+        self._graph = gtsam.NonlinearFactorGraph()
+        gauge = gtsam.noiseModel.Isotropic.Sigma(3, _GAUGE_SIGMA)
+        self._graph.add(gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), gauge))
+
+    def add(self, edges: Iterable[PoseEdge]) -> None:
+        """Add measured relative poses; loops get a robust kernel."""
+        for edge in edges:
+            noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+            if edge.kind is EdgeKind.LOOP:
+                kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self._loop_kernel)
+                noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+            self._graph.add(
+                gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), gtsam.Pose2(*edge.iTj), noise)
+            )
+            self.edges.append(edge)
+
+    def without(self, edges: Iterable[PoseEdge]) -> PoseGraph:
+        """A new graph that lacks some edges."""
+        gone = {id(edge) for edge in edges}
+        graph = PoseGraph(self._loop_kernel)
+        graph.add(edge for edge in self.edges if id(edge) not in gone)
+        return graph
+
+    def optimise(self, initial: FloatArray) -> FloatArray:
+        """Most likely poses (K, 3), by Levenberg-Marquardt from `initial` (K, 3)."""
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setRelativeErrorTol(1e-6)
+        parameters.setMaxIterations(50)
+        optimiser = gtsam.LevenbergMarquardtOptimizer(self._graph, _values(initial), parameters)
+        result = optimiser.optimize()
+        return np.array([_row(result.atPose2(X(k))) for k in range(len(initial))])
+
+    def covariances(self, poses: FloatArray) -> FloatArray:
+        """Marginal covariances (K, 3, 3) at `poses`, each in the keyframe's own frame: x, y, theta."""
+        marginals = gtsam.Marginals(self._graph, _values(poses))
+        return np.array([marginals.marginalCovariance(X(k)) for k in range(len(poses))])
+
+
+def mahalanobis(edge: PoseEdge, poses: FloatArray) -> float:
+    """How many sigmas an edge is off at the given poses (3 degrees of freedom)."""
+    error = between(edge.iTj, between(poses[edge.i], poses[edge.j]))
+    return float(np.sqrt(error @ np.linalg.solve(edge.covariance, error)))
+
+
+def _values(poses: FloatArray) -> gtsam.Values:
+    values = gtsam.Values()
+    for k, pose in enumerate(poses):
+        values.insert(X(k), gtsam.Pose2(*pose))
+    return values
+
+
+def _row(pose: gtsam.Pose2) -> tuple[float, float, float]:
+    return pose.x(), pose.y(), pose.theta()

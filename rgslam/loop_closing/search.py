@@ -1,0 +1,201 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Global correlation: the recent patch of scans against old parts of the map.
+
+Gutmann and Konolige 1999, section 4: a patch of several scans is compared with the old map inside
+the uncertainty of the pose; it takes a high score *and* a single clear peak to be believed. What
+free space the old scans saw is part of the comparison (`scan_matching.agreement`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from rgslam.config import LoopClosingConfig
+from rgslam.geometry import between, compose, inverse
+from rgslam.scan_matching import (
+    ScanStore,
+    agreement,
+    build_surfel_map,
+    correlate,
+    gate_schedule,
+    register,
+    thinned,
+)
+from rgslam.types import EdgeKind, FloatArray, IntArray, PoseEdge
+
+#: m, half width of a window in which another place of a building could lie: below it, the walls of
+#: one room or hallway leave no choice.
+_WIDE = 0.75
+#: Points of a patch that are searched with; more only cost time.
+_SEARCH_POINTS = 300
+
+
+class Rejection(Enum):
+    """Why a loop candidate is not believed."""
+
+    LOW_SCORE = "low score"
+    AMBIGUOUS = "more than one peak"
+    CONTRADICTED = "free space contradicts"
+    SMALL_OVERLAP = "small overlap"
+    NOT_CONVERGED = "registration did not converge"
+    INCONSISTENT = "disagrees with other loops"
+    OUTVOTED = "the optimised graph disagrees"
+
+
+@dataclass(frozen=True, eq=False)
+class LoopCandidate:
+    """A relative pose between a new and an old keyframe that correlation proposes."""
+
+    edge: PoseEdge  # i old, j new
+    score: float  # 0..1
+    rival_score: float  # 0..1
+    agreement: float  # 0..1
+    overlap: float  # 0..1
+    window: float  # m, half width that was searched: small = the graph knew the place already
+    rejection: Rejection | None = None
+
+    @property
+    def wide(self) -> bool:
+        """Whether the window was so wide that another place could have been meant."""
+        return self.window > _WIDE
+
+    def rejected(self, reason: Rejection) -> LoopCandidate:
+        """The same candidate with a reason against it."""
+        return replace(self, rejection=reason)
+
+
+@dataclass(frozen=True, eq=False)
+class MapView:
+    """What the search needs of the map so far."""
+
+    store: ScanStore
+    poses: FloatArray  # (K, 3), wTb of the keyframes
+    path: FloatArray  # (K,), m travelled at each keyframe
+    sigma: float  # m, noise of a point across its line
+    beam_correlation: float  # neighbouring beams that err alike
+
+
+def old_chunks(
+    view: MapView, new: int, patch: IntArray, covariances: FloatArray, config: LoopClosingConfig
+) -> list[IntArray]:
+    """Runs of old keyframes that may see what the new one sees, the most promising first.
+
+    Args:
+        view: the map so far.
+        new: the newest keyframe.
+        patch: recent keyframes; how far they see is how far apart two views of a place may be.
+        covariances: (K, 3, 3), of every keyframe relative to the new one.
+        config: lengths of patch and chunk.
+
+    Returns:
+        Index arrays, disjoint, at most `config.chunks` of them.
+    """
+    travelled = view.path[new] - view.path
+    old = np.flatnonzero(travelled > config.min_path)
+    if not len(old):
+        return []
+    sigma = np.sqrt(covariances[old, 0, 0] + covariances[old, 1, 1])
+    distance = np.hypot(*(view.poses[old, :2] - view.poses[new, :2]).T)
+    ranges = np.linalg.norm(view.store.points[patch], axis=-1)
+    sight = float(np.nanquantile(ranges, 0.75)) if np.isfinite(ranges).any() else 0.0
+    reach = sight + 3.0 * np.minimum(sigma, config.max_window)
+    rank = distance / reach
+    chunks: list[IntArray] = []
+    taken = np.zeros(len(old), bool)
+    for k in np.argsort(rank, kind="stable"):
+        if rank[k] > 1.0 or len(chunks) == config.chunks:
+            break
+        if taken[k]:
+            continue
+        near = np.abs(view.path[old] - view.path[old[k]]) < config.chunk_length
+        member = near & (distance < 2.0 * reach)
+        chunks.append(np.concatenate([[old[k]], old[member & (old != old[k])]]))
+        taken |= near
+    return chunks
+
+
+def propose_loop(
+    view: MapView,
+    new: int,
+    patch: IntArray,
+    chunk: IntArray,
+    covariance: FloatArray,
+    config: LoopClosingConfig,
+) -> LoopCandidate:
+    """Correlate a patch with a chunk of old keyframes and judge the result.
+
+    Args:
+        view: the map so far.
+        new: the keyframe that the patch is attached to.
+        patch: recent keyframes.
+        chunk: old keyframes; the first one is the anchor of the loop.
+        covariance: (3, 3), of the anchor relative to the new keyframe, at the anchor.
+        config: thresholds.
+
+    Returns:
+        A candidate, with a reason in `rejection` when it is not believed.
+    """
+    anchor = int(chunk[0])
+    sigma_xy = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    # The lever arm between the two turns the anchor's heading uncertainty into position
+    sigma_theta = float(np.sqrt(covariance[2, 2]))
+    window = float(np.clip(3.0 * sigma_xy, config.min_window, config.max_window))
+    turn = float(np.clip(3.0 * sigma_theta, 0.05, config.max_turn))
+    chunk_poses = between(view.poses[anchor], view.poses[chunk])
+    old = build_surfel_map(*view.store.in_world(chunk, chunk_poses), config.resolution)
+    patch_points, _ = view.store.in_world(patch, between(view.poses[new], view.poses[patch]))
+    points = thinned(patch_points, 2.0 * config.resolution)
+    match = correlate(
+        old,
+        points[:: max(1, len(points) // _SEARCH_POINTS)],
+        between(view.poses[anchor], view.poses[new]),
+        window,
+        turn,
+        min_score=config.min_score,
+        rival=(max(1.0, 0.3 * window), config.max_rival) if window > _WIDE else None,
+    )
+    # Refine the newest scan among the old ones, all in the frame of the anchor
+    fine = register(
+        *view.store.scan(new).surface, match.wTb, old, view.sigma,
+        gate_schedule(4.0 * config.resolution, view.sigma),
+    )  # fmt: skip
+    verdict = agreement(points, fine.wTb, view.store, chunk, chunk_poses, config.tolerance)
+    edge = PoseEdge(
+        anchor, new, fine.wTb, _loop_covariance(fine.information, view, config), EdgeKind.LOOP
+    )
+    candidate = LoopCandidate(
+        edge, match.score, match.rival_score, verdict.ratio, verdict.overlap, window
+    )
+    moved = between(match.wTb, fine.wTb)
+    if match.score < config.min_score:
+        return candidate.rejected(Rejection.LOW_SCORE)
+    if not np.isfinite(fine.residual) or np.hypot(moved[0], moved[1]) > 6.0 * config.resolution:
+        return candidate.rejected(Rejection.NOT_CONVERGED)
+    if verdict.overlap < config.min_overlap:
+        return candidate.rejected(Rejection.SMALL_OVERLAP)
+    if verdict.ratio < config.min_agreement:
+        return candidate.rejected(Rejection.CONTRADICTED)
+    if match.rival_score > 0.0:
+        return candidate.rejected(Rejection.AMBIGUOUS)
+    return candidate
+
+
+def _loop_covariance(
+    information: FloatArray, view: MapView, config: LoopClosingConfig
+) -> FloatArray:
+    """Covariance of a registered loop; the old chunk is itself only known to about a cell."""
+    floor = np.diag([config.resolution**2, config.resolution**2, (0.2 * config.resolution) ** 2])
+    vague = np.diag([1e-2, 1e-2, 1e-2])  # 10 m, 10 rad: what no wall holds is left open
+    return np.linalg.inv(information / view.beam_correlation + vague) + floor
+
+
+def chain(edge_a: PoseEdge, edge_b: PoseEdge, poses: FloatArray) -> FloatArray:
+    """Pose that closes the circle of two loops over the trajectory: zero when they agree, (3,)."""
+    new_aTb = between(poses[edge_a.j], poses[edge_b.j])
+    old_aTb = between(poses[edge_a.i], poses[edge_b.i])
+    around = compose(compose(edge_a.iTj, new_aTb), inverse(edge_b.iTj))
+    return between(old_aTb, around)

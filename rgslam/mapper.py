@@ -1,0 +1,377 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One step of the mapper: what happens to a message of the recording.
+
+`Mapper.add(message)` takes messages one by one, `Mapper.map()` gives the map so far. `build_map`
+(`rgslam.pipeline`) is the same over a whole recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
+
+import numpy as np
+
+from rgslam import __version__
+from rgslam.config import Config
+from rgslam.errors import RecordingError
+from rgslam.factor_graph import PoseGraph, mahalanobis
+from rgslam.gateways import detect_crossings
+from rgslam.geometry import adjoint, between, compose, inverse
+from rgslam.local_map import LocalMap, LocalMatch, is_keyframe
+from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
+from rgslam.occupancy_grid import build_occupancy_grid
+from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
+from rgslam.regions import segment_grid
+from rgslam.rg_map import RGMap, RunInfo
+from rgslam.scan_matching import LaserGeometry, ScanPoints, ScanStore, scan_points
+from rgslam.stage_clock import StageClock
+from rgslam.types import (
+    EdgeKind,
+    FloatArray,
+    Keyframes,
+    LaserScan,
+    Message,
+    Odometry,
+    PoseEdge,
+    ProgressCallback,
+    Trajectory,
+)
+
+#: What a step without any motion may still be off: the wheels stand, the robot may be pushed or a
+#: stamp be late. 1 cm and 0.3 degrees.
+_STANDING = np.diag([0.01**2, 0.01**2, 0.005**2])
+
+
+@dataclass(frozen=True, eq=False)
+class StepResult:
+    """What the mapper made of one scan."""
+
+    stamp: float  # s
+    wTb: FloatArray  # (3,), pose of the robot now; later loops may still move it
+    trusted: bool  # False: the scan fits nowhere, the pose is predicted
+    keyframe: int | None  # number of the keyframe it became
+    loops: tuple[LoopCandidate, ...] = ()  # loops closed in this step
+
+
+@dataclass(eq=False)
+class _Track:
+    """Where every scan is, relative to a keyframe."""
+
+    scans: list[LaserScan] = dataclass_field(default_factory=list)
+    keyframe: list[int] = dataclass_field(default_factory=list)
+    kTb: list[FloatArray] = dataclass_field(default_factory=list)
+    predicted_only: int = 0  # scans that fit nowhere
+    odd_geometry: list[int] = dataclass_field(default_factory=list)  # records
+
+
+class Mapper:
+    """Builds a map from messages, one by one."""
+
+    def __init__(self, config: Config | None = None, clock: StageClock | None = None) -> None:
+        """An empty map.
+
+        Args:
+            config: the configuration, or None for the default.
+            clock: takes the time of the stages.
+        """
+        self.config = config or Config()
+        self.clock = clock or StageClock()
+        self._odometry = OdometryBuffer()
+        self._track = _Track()
+        self._closer = LoopCloser(self.config.loop_closing)
+        self._graph = PoseGraph(self.config.factor_graph.loop_kernel)
+        self._geometry: LaserGeometry | None = None
+        self._keyframe_scans: list[int] = []
+        self._keyframe_path: list[float] = []
+        self._poses = np.empty((0, 3))  # wTb of the keyframes
+        self._wTb = np.zeros(3)
+        self._last: tuple[LaserScan, FloatArray | None] | None = None
+        self._velocity = np.zeros(3)  # motion of the last step, (3,), and its duration
+        self._step_seconds = 0.0
+        self._since_keyframe = np.zeros((3, 3))  # covariance of the odometry since then
+        self._path = 0.0
+        self._unsettled = 0  # keyframes since loops were added that are not yet optimised; 0: none
+
+    # --- One message ---------------------------------------------------------------------------
+
+    def add(self, message: Message) -> list[StepResult]:
+        """Take the next message of a recording.
+
+        A scan that waits for odometry after its stamp is processed as soon as that comes.
+
+        Returns:
+            A result for every scan that was processed now: often one, none for odometry that no
+            scan waited for.
+
+        Raises:
+            RecordingError: a scan whose beams are not evenly spaced.
+        """
+        if isinstance(message, Odometry):
+            ready = self._odometry.add_odometry(message)
+        else:
+            ready = self._odometry.add_scan(message)
+        return [self._add_scan(scan, oTb) for scan, oTb in ready]
+
+    def _add_scan(self, scan: LaserScan, oTb: FloatArray | None) -> StepResult:
+        # Where the robot should be, by odometry or, without it, by the speed it had
+        motion, covariance = self._predict(scan, oTb)
+        prediction = compose(self._wTb, motion)
+
+        # Align the scan with the newest keyframes (Gutmann & Konolige 1999, local registration)
+        with self.clock.stage("matching"):
+            points = self._points_of(scan)
+            match = self._match(points, prediction, covariance)
+
+        # Remember it, and make it a keyframe when it shows something new
+        self._remember(scan, oTb, motion, match)
+        if points is None or not self._is_news(points, match):
+            return StepResult(scan.stamp, self._wTb.copy(), match.trusted, None)
+        number = self._add_keyframe(points, match)
+
+        # Has the robot been here before? (Gutmann & Konolige 1999, global correlation)
+        with self.clock.stage("loop closing"):
+            loops = self._search_loops(number)
+
+        # Keep all poses consistent (Gutmann & Konolige 1999, consistent pose estimation)
+        with self.clock.stage("optimisation"):
+            self._settle(loops)
+
+        with self.clock.stage("matching"):
+            self._local_map.rebuild(self._poses)
+        return StepResult(scan.stamp, self._wTb.copy(), match.trusted, number, tuple(loops))
+
+    # --- The pieces of a step ------------------------------------------------------------------
+
+    def _predict(self, scan: LaserScan, oTb: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+        if self._last is None:
+            return np.zeros(3), _STANDING
+        last_scan, last_oTb = self._last
+        if oTb is not None and last_oTb is not None:
+            motion = between(last_oTb, oTb)
+            return motion, odometry_covariance(motion) + _STANDING
+        # Stamps may stand still or jump: a step lasts as long as usual then
+        seconds = scan.stamp - last_scan.stamp
+        usual = self._step_seconds if self._step_seconds > 0.0 else 0.1
+        seconds = seconds if 0.0 < seconds < 5.0 * usual else usual
+        return self._velocity * (seconds / usual), constant_velocity_covariance(seconds)
+
+    def _points_of(self, scan: LaserScan) -> ScanPoints | None:
+        """Points of the scan, or None when it comes from another scanner or sees nothing."""
+        if self._geometry is None:
+            self._geometry = LaserGeometry.from_scan(scan)
+            self._store = ScanStore.empty(self._geometry)
+            self._local_map = LocalMap(self._store, self.config.scan_matching)
+        if not self._geometry.fits(scan):
+            self._track.odd_geometry.append(scan.record)
+            return None
+        points = scan_points(scan.ranges, self._geometry, self._local_map.sigma)
+        return points if len(points.surface[0]) >= 3 else None
+
+    def _match(
+        self, points: ScanPoints | None, prediction: FloatArray, covariance: FloatArray
+    ) -> LocalMatch:
+        if points is None or not len(self._poses):
+            return LocalMatch(prediction, np.zeros((3, 3)), 0.0, 0.0, points is not None)
+        return self._local_map.match(points, prediction, covariance)
+
+    def _remember(
+        self, scan: LaserScan, oTb: FloatArray | None, motion: FloatArray, match: LocalMatch
+    ) -> None:
+        A = adjoint(inverse(motion))
+        _, covariance = self._predict(scan, oTb)
+        self._since_keyframe = A @ self._since_keyframe @ A.T + covariance
+        self._path += float(np.hypot(*between(self._wTb, match.wTb)[:2]))
+        if self._last is not None:
+            self._velocity = between(self._wTb, match.wTb)
+            seconds = scan.stamp - self._last[0].stamp
+            self._step_seconds = seconds if seconds > 0.0 else self._step_seconds
+        self._wTb = np.asarray(match.wTb, float).copy()
+        self._last = (scan, oTb)
+        self._track.scans.append(scan)
+        self._track.keyframe.append(max(len(self._poses) - 1, 0))
+        self._track.kTb.append(
+            between(self._poses[-1], self._wTb) if len(self._poses) else self._wTb
+        )
+        self._track.predicted_only += not match.trusted
+
+    def _is_news(self, points: ScanPoints, match: LocalMatch) -> bool:
+        if not len(self._poses):
+            return True
+        return is_keyframe(between(self._poses[-1], match.wTb), self.config.scan_matching)
+
+    def _add_keyframe(self, points: ScanPoints, match: LocalMatch) -> int:
+        number = self._store.append(points)
+        if number:
+            # Laser and wheels since the last keyframe are independent evidence: both count
+            information = match.information / self.config.scan_matching.beam_correlation
+            covariance = np.linalg.inv(information + np.linalg.inv(self._since_keyframe))
+            kTb = between(self._poses[-1], self._wTb)
+            edge = PoseEdge(number - 1, number, kTb, covariance, EdgeKind.MATCH)
+            self._graph.add([edge])
+            self._closer.add_edges([edge])
+        self._poses = np.vstack([self._poses, self._wTb])
+        self._keyframe_scans.append(len(self._track.scans) - 1)
+        self._keyframe_path.append(self._path)
+        self._track.keyframe[-1] = number
+        self._track.kTb[-1] = np.zeros(3)
+        self._since_keyframe = np.zeros((3, 3))
+        return number
+
+    def _search_loops(self, number: int) -> list[LoopCandidate]:
+        if not self.config.loop_closing.enabled or number == 0:
+            return []
+        view = MapView(
+            self._store,
+            self._poses,
+            np.array(self._keyframe_path),
+            self._local_map.sigma,
+            self.config.scan_matching.beam_correlation,
+        )
+        return self._closer.search(view, number)
+
+    def _settle(self, loops: list[LoopCandidate]) -> None:
+        """Add loops to the graph; optimise when they tell something new."""
+        edges = [loop.edge for loop in loops]
+        self._graph.add(edges)
+        self._closer.add_edges(edges)
+        self._unsettled += bool(loops) or self._unsettled > 0
+        surprise = any(loop.wide or mahalanobis(loop.edge, self._poses) > 3.0 for loop in loops)
+        if surprise or self._unsettled > self.config.factor_graph.optimise_every:
+            self._optimise()
+
+    def _optimise(self) -> None:
+        """Most likely poses; loops that the others outvote are taken back."""
+        before = self._poses
+        self._poses = self._graph.optimise(before)
+        limit = self.config.factor_graph.max_loop_sigmas
+        outvoted = [
+            loop for loop in self._closer.accepted if mahalanobis(loop.edge, self._poses) > limit
+        ]
+        if outvoted:
+            self._graph = self._graph.without(loop.edge for loop in outvoted)
+            self._closer.take_back(outvoted, self._graph.edges)
+            self._poses = self._graph.optimise(before)
+        self._wTb = compose(self._poses[-1], self._track.kTb[-1])
+        self._unsettled = 0
+
+    # --- The map so far ------------------------------------------------------------------------
+
+    def map(
+        self,
+        recording: str = "",
+        warnings: tuple[str, ...] = (),
+        partial: bool = False,
+        progress: ProgressCallback | None = None,
+    ) -> RGMap:
+        """Optimise everything and describe it as a region & gateway map.
+
+        Args:
+            recording: name of the recording, for the reader of the map.
+            warnings: what was wrong with it.
+            partial: whether its reading was cut short.
+            progress: called as the stages go on.
+
+        Raises:
+            RecordingError: no scan could be used yet.
+        """
+        for scan, oTb in self._odometry.flush():
+            self._add_scan(scan, oTb)
+        if not len(self._poses):
+            raise RecordingError(f"{recording or 'the recording'}: no scan shows a surface")
+        tell = progress or (lambda stage, done, total: None)
+        with self.clock.stage("optimisation"):
+            tell("optimisation", 0, 2)
+            self._optimise()
+            tell("optimisation", 1, 2)
+            covariances = self._graph.covariances(self._poses)
+            tell("optimisation", 2, 2)
+        trajectory = self.trajectory()
+        with self.clock.stage("occupancy grid"):
+            grid = build_occupancy_grid(
+                self._track.scans, trajectory.wTb, self.config.occupancy_grid, progress
+            )
+        with self.clock.stage("regions and gateways"):
+            tell("regions and gateways", 0, 1)
+            segmentation = segment_grid(grid, config=self.config)
+            gateways = detect_crossings(segmentation.gateways, trajectory)
+            tell("regions and gateways", 1, 1)
+        return RGMap(
+            regions=segmentation.regions,
+            gateways=gateways,
+            trajectory=trajectory,
+            keyframes=self._keyframes(covariances),
+            edges=tuple(self._graph.edges),
+            grid=grid,
+            config=self.config,
+            run=RunInfo(
+                version=__version__,
+                recording=recording,
+                counts=self._counts(len(segmentation.regions), gateways),
+                seconds=self.clock.seconds(),
+                peak_memory_mb=self.clock.peak_memory_mb(),
+                warnings=(*warnings, *self._warnings(), *segmentation.warnings),
+                partial=partial,
+                details={"loops": self._loop_details()},
+            ),
+        )
+
+    def trajectory(self) -> Trajectory:
+        """Poses of all scans so far, in the order in which they came."""
+        track = self._track
+        stamps = np.array([scan.stamp for scan in track.scans])
+        anchors = self._poses[track.keyframe] if len(self._poses) else np.zeros((len(stamps), 3))
+        return Trajectory(stamps, compose(anchors, np.array(track.kTb).reshape(-1, 3)))
+
+    def _keyframes(self, covariances: FloatArray) -> Keyframes:
+        indices = np.array(self._keyframe_scans, np.int64)
+        stamps = np.array([self._track.scans[k].stamp for k in indices])
+        return Keyframes(indices, stamps, self._poses.copy(), covariances)
+
+    def _counts(self, regions: int, gateways: tuple) -> dict[str, int]:  # type: ignore[type-arg]
+        counts = {
+            "scans": len(self._track.scans),
+            "scans_predicted_only": self._track.predicted_only,
+            "keyframes": len(self._poses),
+            "loops_accepted": len(self._closer.accepted),
+            "loops_rejected": len(self._closer.rejected),
+            "regions": regions,
+            "gateways": len(gateways),
+            "crossings": sum(len(gateway.crossings) for gateway in gateways),
+        }
+        for reason, count in sorted(self._closer.counts().items()):
+            counts[f"loops_rejected: {reason}"] = count
+        return counts
+
+    def _warnings(self) -> list[str]:
+        lines = []
+        track = self._track
+        if track.predicted_only:
+            lines.append(
+                f"{track.predicted_only} of {len(track.scans)} scans fit nowhere and are placed by "
+                "odometry alone"
+            )
+        if track.odd_geometry:
+            lines.append(
+                f"{len(track.odd_geometry)} scans have other beams than the first one and are not "
+                f"matched (first: record {track.odd_geometry[0]})"
+            )
+        if self._odometry.ignored:
+            lines.append(
+                f"{self._odometry.ignored} odometry messages whose stamp goes back are left out"
+            )
+        return lines
+
+    def _loop_details(self) -> list[dict[str, object]]:
+        loops = [*self._closer.accepted, *self._closer.rejected]
+        return [
+            {
+                "i": loop.edge.i,
+                "j": loop.edge.j,
+                "accepted": loop.rejection is None,
+                "reason": "" if loop.rejection is None else loop.rejection.value,
+                "score": round(loop.score, 4),
+            }
+            for loop in sorted(loops, key=lambda loop: (loop.edge.j, loop.edge.i))
+        ]

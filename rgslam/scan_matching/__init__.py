@@ -1,0 +1,48 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Local registration: a scan against what has been seen around here.
+
+Gutmann and Konolige, *Incremental mapping of large cyclic environments* (CIRA 1999), with today's
+parts: correlative search for the basin, point-to-line least squares for the last millimetre, both
+with a covariance that comes from the match itself.
+"""
+
+from rgslam.scan_matching.agreement import Agreement, agreement
+from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
+from rgslam.scan_matching.scan_points import (
+    INVALID,
+    POINT,
+    SURFACE,
+    LaserGeometry,
+    ScanPoints,
+    ScanStore,
+    scan_points,
+    thinned,
+)
+from rgslam.scan_matching.surfel_map import (
+    Registration,
+    SurfelMap,
+    build_surfel_map,
+    gate_schedule,
+    register,
+)
+
+__all__ = [
+    "INVALID",
+    "POINT",
+    "SURFACE",
+    "Agreement",
+    "CorrelativeMatch",
+    "LaserGeometry",
+    "Registration",
+    "ScanPoints",
+    "ScanStore",
+    "SurfelMap",
+    "agreement",
+    "build_surfel_map",
+    "correlate",
+    "gate_schedule",
+    "register",
+    "scan_points",
+    "thinned",
+]

@@ -1,0 +1,179 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Correlative scan matching: the best of all poses in a window, found by branch and bound.
+
+Olson, *Real-time correlative scan matching* (ICRA 2009); bounds by max-pooled grids as in Hess et
+al. (ICRA 2016). The search is exact on its lattice: no local minimum can hide the best pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rgslam.scan_matching.surfel_map import SurfelMap
+from rgslam.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class CorrelativeMatch:
+    """The best pose of a window."""
+
+    wTb: FloatArray  # (3,)
+    score: float  # mean likelihood of the points, 0..1
+    rival_score: float  # best score elsewhere, 0 when there is none worth naming
+
+
+@njit(cache=True)
+def _score_block(
+    level: npt.NDArray[np.uint8],
+    cells: npt.NDArray[np.int32],
+    dr: int,
+    dc: int,
+) -> int:
+    rows, cols = level.shape
+    total = 0
+    for i in range(len(cells)):
+        r, c = cells[i, 0] + dr, cells[i, 1] + dc
+        if 0 <= r < rows and 0 <= c < cols:
+            total += level[r, c]
+    return total
+
+
+@njit(cache=True)
+def _search(
+    level0: npt.NDArray[np.uint8],
+    level1: npt.NDArray[np.uint8],
+    level2: npt.NDArray[np.uint8],
+    resolution: float,
+    origin: FloatArray,
+    points: FloatArray,
+    centre: FloatArray,
+    half_cells: int,
+    half_turns: int,
+    turn: float,
+    penalty: FloatArray,
+    floor: float,
+    exclude: FloatArray,
+) -> tuple[float, int, int, int]:
+    """Best (score, turn index, row shift, column shift) on the lattice; score = floor if none is better.
+
+    penalty: score units (0..255 per point) lost per squared metre and squared radian off centre.
+    exclude: (reach in cells, reach in turns, row, col, turn) of a neighbourhood to leave out;
+        reach < 0: none.
+    """
+    n = len(points)
+    turns = 2 * half_turns + 1
+    # A window of a few cells needs no coarse level
+    big = 16 if half_cells > 12 else 4
+    blocks = (2 * half_cells) // big + 1
+    cells = np.empty((turns, n, 2), np.int32)
+    bounds = np.empty(turns * blocks * blocks)
+    for t in range(turns):
+        a = centre[2] + (t - half_turns) * turn
+        c, s = np.cos(a), np.sin(a)
+        for i in range(n):
+            x = centre[0] + c * points[i, 0] - s * points[i, 1]
+            y = centre[1] + s * points[i, 0] + c * points[i, 1]
+            cells[t, i, 0] = int(np.floor((y - origin[1]) / resolution))
+            cells[t, i, 1] = int(np.floor((x - origin[0]) / resolution))
+        turned = n * penalty[1] * ((t - half_turns) * turn) ** 2
+        for br in range(blocks):
+            for bc in range(blocks):
+                r0, c0 = br * big - half_cells, bc * big - half_cells
+                level = level0 if big == 16 else level1
+                bounds[(t * blocks + br) * blocks + bc] = (
+                    _score_block(level, cells[t], r0, c0)
+                    - turned
+                    - n * penalty[0] * _off_centre(r0, c0, big) * resolution**2
+                )
+    best, best_t, best_r, best_c = floor, half_turns, 0, 0
+    for o in np.argsort(-bounds):
+        if bounds[o] <= best:
+            break
+        t = o // (blocks * blocks)
+        r0 = (o // blocks) % blocks * big - half_cells
+        c0 = o % blocks * big - half_cells
+        turned = n * penalty[1] * ((t - half_turns) * turn) ** 2
+        for r1 in range(r0, min(r0 + big, half_cells + 1), 4):
+            for c1 in range(c0, min(c0 + big, half_cells + 1), 4):
+                if big == 16:
+                    lost = turned + n * penalty[0] * _off_centre(r1, c1, 4) * resolution**2
+                    if _score_block(level1, cells[t], r1, c1) - lost <= best:
+                        continue
+                for r in range(r1, min(r1 + 4, half_cells + 1)):
+                    for c in range(c1, min(c1 + 4, half_cells + 1)):
+                        if (
+                            abs(t - exclude[4]) <= exclude[1]
+                            and (r - exclude[2]) ** 2 + (c - exclude[3]) ** 2 <= exclude[0] ** 2
+                        ):
+                            continue
+                        lost = turned + n * penalty[0] * (r * r + c * c) * resolution**2
+                        value = _score_block(level2, cells[t], r, c) - lost
+                        if value > best:
+                            best, best_t, best_r, best_c = value, t, r, c
+    return best, best_t, best_r, best_c
+
+
+@njit(cache=True)
+def _off_centre(row: int, col: int, size: int) -> float:
+    """Smallest squared distance (cells) from the centre to a block of shifts."""
+    r = 0 if row <= 0 < row + size else min(abs(row), abs(row + size - 1))
+    c = 0 if col <= 0 < col + size else min(abs(col), abs(col + size - 1))
+    return float(r * r + c * c)
+
+
+def correlate(
+    surfels: SurfelMap,
+    b_points: FloatArray,
+    centre: FloatArray,
+    half_width: float,
+    half_angle: float,
+    prior_weight: tuple[float, float] = (0.0, 0.0),
+    min_score: float = 0.0,
+    rival: tuple[float, float] | None = None,
+) -> CorrelativeMatch:
+    """Best pose of a scan (or patch) in a window of the map.
+
+    Args:
+        surfels: what has been seen, in w.
+        b_points: (n, 2), points to place.
+        centre: (3,), wTb in the middle of the window.
+        half_width: m, half side of the square window.
+        half_angle: rad.
+        prior_weight: mean likelihood (0..1) lost per square metre and per square radian off the
+            centre: decides where the points do not, along a featureless hallway.
+        min_score: mean likelihood below which the search may give up: the centre is returned.
+        rival: (m, share): look for a second peak at least so far from the winner that scores at
+            least this share of it; reported as `rival_score`, 0 where there is none.
+
+    Returns:
+        The winner on the lattice.
+    """
+    n = 255.0 * len(b_points)
+    reach = float(np.quantile(np.hypot(b_points[:, 0], b_points[:, 1]), 0.8))
+    turn = surfels.resolution / max(reach, 1.0)
+    half_cells = max(int(np.ceil(half_width / surfels.resolution)), 1)
+    half_turns = max(int(np.ceil(half_angle / turn)), 1)
+    window = (*surfels.levels, surfels.resolution, surfels.origin, np.ascontiguousarray(b_points),
+              np.asarray(centre, float), half_cells, half_turns, turn,
+              np.array(prior_weight) * 255.0)  # fmt: skip
+    nowhere = np.array([-1.0, -1.0, 0.0, 0.0, 0.0])
+    value, t, row, col = _search(*window, min_score * n - 1.0, nowhere)
+    shift = np.array([col, row]) * surfels.resolution
+    pose = np.array(
+        [centre[0] + shift[0], centre[1] + shift[1], centre[2] + (t - half_turns) * turn]
+    )
+    pose[2] = (pose[2] + np.pi) % (2.0 * np.pi) - np.pi
+    score = max(value / n, 0.0)
+    rival_score = 0.0
+    if rival is not None and score >= min_score:
+        cells = rival[0] / surfels.resolution
+        winner = np.array([cells, cells, float(row), float(col), float(t)])
+        floor = rival[1] * value
+        found = _search(*window, floor, winner)[0]
+        rival_score = found / n if found > floor else 0.0
+    return CorrelativeMatch(pose, score, rival_score)

@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""From ranges to points with surface normals: what a matcher needs of a scan.
+
+All points are in the robot base frame `b`, in beam order, so that a point of another scan finds its
+neighbours by its bearing (projective association) instead of by a search tree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rgslam.errors import RecordingError
+from rgslam.types import FloatArray, IntArray, LaserScan
+
+#: A point of class INVALID has no position, POINT no reliable normal, SURFACE has both.
+INVALID, POINT, SURFACE = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class LaserGeometry:
+    """How the beams of one scanner lie; the same for all scans of a recording."""
+
+    angle_min: float  # rad, first beam in the laser frame
+    angle_step: float  # rad, counter-clockwise
+    beams: int
+    bTl: FloatArray  # (3,), laser on the robot
+
+    @property
+    def full_circle(self) -> bool:
+        """Whether the last beam is a neighbour of the first."""
+        return self.beams * abs(self.angle_step) > 2.0 * np.pi - 1.5 * abs(self.angle_step)
+
+    @classmethod
+    def from_scan(cls, scan: LaserScan) -> LaserGeometry:
+        """Read the geometry off a scan.
+
+        Raises:
+            RecordingError: fewer than three beams, or beams that are not evenly spaced.
+        """
+        steps = np.diff(scan.angles)
+        if len(scan.angles) < 3:
+            raise RecordingError(f"record {scan.record}: a scan of {len(scan.angles)} beams")
+        if abs(steps).min() <= 0.0 or np.ptp(steps) > 0.01 * abs(steps.mean()):
+            raise RecordingError(f"record {scan.record}: the beams are not evenly spaced")
+        return cls(
+            float(scan.angles[0]),
+            float(steps.mean()),
+            len(scan.angles),
+            np.asarray(scan.bTl, float),
+        )
+
+    def fits(self, scan: LaserScan) -> bool:
+        """Whether a scan comes from this scanner."""
+        return (
+            len(scan.angles) == self.beams
+            and abs(scan.angles[0] - self.angle_min) < 0.5 * abs(self.angle_step)
+            and abs(scan.angles[-1] - scan.angles[0] - (self.beams - 1) * self.angle_step)
+            < 0.5 * abs(self.angle_step)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPoints:
+    """Points of one scan in beam order."""
+
+    points: FloatArray  # (n, 2), b; NaN where there is no return
+    normals: FloatArray  # (n, 2), b, towards the sensor; 0 where unreliable
+    classes: npt.NDArray[np.uint8]  # (n,): INVALID, POINT or SURFACE
+
+    @property
+    def valid(self) -> FloatArray:
+        """The points with a position, (m, 2)."""
+        return self.points[self.classes != INVALID]
+
+    @property
+    def surface(self) -> tuple[FloatArray, FloatArray]:
+        """Points and normals of the surface points, (m, 2) each."""
+        on_surface = self.classes == SURFACE
+        return self.points[on_surface], self.normals[on_surface]
+
+
+def scan_points(
+    ranges: npt.NDArray[np.floating], geometry: LaserGeometry, range_sigma: float
+) -> ScanPoints:
+    """Points and normals of one scan.
+
+    Args:
+        ranges: (n,), m; anything not finite is no point.
+        geometry: the scanner.
+        range_sigma: m, standard deviation of one range, decides what counts as straight.
+
+    Returns:
+        Points in b.
+    """
+    angles = geometry.angle_min + geometry.angle_step * np.arange(geometry.beams)
+    points, normals, classes = _points_and_normals(
+        np.asarray(ranges, np.float64), angles, geometry.bTl, geometry.full_circle, range_sigma
+    )
+    return ScanPoints(points, normals, classes)
+
+
+#: Neighbours to each side that the normal is fitted to, and their farthest distance in metres:
+#: a wall is straight over that length, whatever the building.
+_NEIGHBOURS, _SUPPORT = 6, 0.25
+
+
+@njit(cache=True)
+def _points_and_normals(
+    ranges: FloatArray, angles: FloatArray, bTl: FloatArray, full_circle: bool, sigma: float
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.uint8]]:
+    n = len(ranges)
+    points = np.full((n, 2), np.nan)
+    normals = np.zeros((n, 2))
+    classes = np.zeros(n, np.uint8)
+    for i in range(n):
+        if np.isfinite(ranges[i]) and ranges[i] > 0.0:
+            a = angles[i] + bTl[2]
+            points[i, 0] = bTl[0] + ranges[i] * np.cos(a)
+            points[i, 1] = bTl[1] + ranges[i] * np.sin(a)
+            classes[i] = 1
+    step = abs(angles[1] - angles[0])
+    for i in range(n):
+        if classes[i] == 0:
+            continue
+        # Far away the beams are wide apart: the support grows until it holds three of them even
+        # where they graze the wall (up to about 75 degrees of incidence).
+        support = max(_SUPPORT, 4.0 * ranges[i] * step)
+        count, sx, sy, sxx, sxy, syy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for side in (-1, 1):
+            for k in range(1, _NEIGHBOURS + 1):
+                j = i + side * k
+                if full_circle:
+                    j %= n
+                elif j < 0 or j >= n:
+                    break
+                if classes[j] == 0:
+                    continue
+                dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+                if dx * dx + dy * dy > support * support:
+                    break
+                count += 1
+                sx += dx
+                sy += dy
+                sxx += dx * dx
+                sxy += dx * dy
+                syy += dy * dy
+        if count < 2:
+            continue
+        m = count + 1.0
+        cxx, cxy, cyy = sxx / m - sx * sx / m**2, sxy / m - sx * sy / m**2, syy / m - sy * sy / m**2
+        # Total least squares: the normal is the eigenvector of the smaller eigenvalue
+        half_trace = 0.5 * (cxx + cyy)
+        root = np.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy)
+        small, large = half_trace - root, half_trace + root
+        if small > (2.5 * sigma) ** 2 or large < 9.0 * max(small, sigma * sigma):
+            continue
+        angle = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)  # direction of the wall
+        nx, ny = -np.sin(angle), np.cos(angle)
+        toward = nx * (bTl[0] - points[i, 0]) + ny * (bTl[1] - points[i, 1])
+        if toward < 0.0:
+            nx, ny, toward = -nx, -ny, -toward
+        # A beam that grazes the wall under 5 degrees measures its edge, not its surface
+        if toward < 0.087 * ranges[i]:
+            continue
+        normals[i, 0], normals[i, 1] = nx, ny
+        classes[i] = 2
+    return points, normals, classes
+
+
+def thinned(points: FloatArray, cell: float) -> FloatArray:
+    """The first point (m, 2) of every cell of side `cell` that holds one of (n, 2)."""
+    keys = np.floor(points / cell).astype(np.int64)
+    _, first = np.unique(keys[:, 0] * (1 << 32) + keys[:, 1], return_index=True)
+    return points[np.sort(first)]
+
+
+@dataclass(eq=False)
+class ScanStore:
+    """Points of many scans of one scanner in contiguous arrays that grow."""
+
+    geometry: LaserGeometry
+    points: FloatArray  # (capacity, n, 2), b of each scan
+    normals: FloatArray  # (capacity, n, 2)
+    classes: npt.NDArray[np.uint8]  # (capacity, n)
+    size: int = 0
+
+    @classmethod
+    def empty(cls, geometry: LaserGeometry, capacity: int = 64) -> ScanStore:
+        """A store without scans."""
+        n = geometry.beams
+        return cls(
+            geometry,
+            np.empty((capacity, n, 2)),
+            np.empty((capacity, n, 2)),
+            np.empty((capacity, n), np.uint8),
+        )
+
+    def append(self, scan: ScanPoints) -> int:
+        """Add a scan; returns its index."""
+        if self.size == len(self.points):
+            self.points = _doubled(self.points)
+            self.normals = _doubled(self.normals)
+            self.classes = _doubled(self.classes)
+        self.points[self.size] = scan.points
+        self.normals[self.size] = scan.normals
+        self.classes[self.size] = scan.classes
+        self.size += 1
+        return self.size - 1
+
+    def scan(self, index: int) -> ScanPoints:
+        """The points of one scan."""
+        return ScanPoints(self.points[index], self.normals[index], self.classes[index])
+
+    def in_world(self, members: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points and normals (m, 2) of some scans in w, given their wTb (r, 3)."""
+        c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+        p, n = self.points[members], self.normals[members]
+        valid = self.classes[members] != INVALID
+        points = [poses[:, 0, None] + c * p[..., 0] - s * p[..., 1],
+                  poses[:, 1, None] + s * p[..., 0] + c * p[..., 1]]  # fmt: skip
+        normals = [c * n[..., 0] - s * n[..., 1], s * n[..., 0] + c * n[..., 1]]
+        return (
+            np.stack([axis[valid] for axis in points], axis=-1),
+            np.stack([axis[valid] for axis in normals], axis=-1),
+        )
+
+    @property
+    def polar(self) -> FloatArray:
+        """What the kernels need of the geometry: angle_min, angle_step, circle?, bTl (x, y, theta)."""
+        g = self.geometry
+        return np.array([g.angle_min, g.angle_step, float(g.full_circle), *g.bTl])
+
+
+def _doubled(array: npt.NDArray) -> npt.NDArray:  # type: ignore[type-arg]
+    grown = np.empty((2 * len(array), *array.shape[1:]), array.dtype)
+    grown[: len(array)] = array
+    return grown

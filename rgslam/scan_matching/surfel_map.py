@@ -1,0 +1,291 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What several scans saw together: one surfel (mean point and normal) per small cell.
+
+Averaging over scans beats the noise of one; a lookup grid gives the surfel nearest to any place in
+constant time, and the likelihood of a return there for the correlative search.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rgslam.types import FloatArray
+
+#: Cells of the levels of the search bound, coarse to fine: 16 x 16, 4 x 4 cells, one cell.
+BLOCKS = (16, 4, 1)
+#: Cells around a surfel that know it as their nearest: the farthest a first guess may be off.
+_REACH = 5
+
+
+@dataclass(frozen=True, eq=False)
+class SurfelMap:
+    """Surfels with their lookup grids. Rows go with y, columns with x."""
+
+    points: FloatArray  # (s, 2), w
+    normals: FloatArray  # (s, 2), w, towards the sensor; 0 where unreliable
+    nearest: npt.NDArray[np.int32]  # (H, W), index of the nearest surfel, -1 = none within reach
+    levels: tuple[
+        npt.NDArray[np.uint8], ...
+    ]  # (H, W), likelihood 0..255 with its max-pooled bounds
+    resolution: float  # m per cell
+    origin: FloatArray  # (2,), outer corner of cell (0, 0), w
+
+
+def build_surfel_map(w_points: FloatArray, w_normals: FloatArray, resolution: float) -> SurfelMap:
+    """Merge points into surfels.
+
+    Args:
+        w_points: (n, 2), the points.
+        w_normals: (n, 2), their normals; 0 where unreliable.
+        resolution: m per cell; also the standard deviation of the likelihood, as a place is known
+            to about a cell.
+
+    Returns:
+        The map; its border of 16 empty cells keeps every bound of the search valid.
+    """
+    low = w_points.min(axis=0) - BLOCKS[0] * resolution
+    size = np.ceil((w_points.max(axis=0) - low) / resolution).astype(np.int64) + BLOCKS[0]
+    points, normals = _merge(w_points, w_normals, low, resolution, int(size[1]), int(size[0]))
+    nearest, fine = _stamp(points, low, resolution, int(size[1]), int(size[0]))
+    middle = _pool(fine, BLOCKS[1], 1)
+    coarse = _pool(middle, BLOCKS[0] // BLOCKS[1], BLOCKS[1])
+    return SurfelMap(points, normals, nearest, (coarse, middle, fine), resolution, low)
+
+
+@njit(cache=True)
+def _merge(
+    points: FloatArray,
+    normals: FloatArray,
+    low: FloatArray,
+    resolution: float,
+    rows: int,
+    cols: int,
+) -> tuple[FloatArray, FloatArray]:
+    owner = np.full((rows, cols), -1, np.int32)
+    sums = np.zeros((len(points), 5))
+    count = 0
+    for i in range(len(points)):
+        r = int((points[i, 1] - low[1]) / resolution)
+        c = int((points[i, 0] - low[0]) / resolution)
+        k = owner[r, c]
+        has_normal = normals[i, 0] != 0.0 or normals[i, 1] != 0.0
+        if k >= 0:
+            # Two faces of a thin wall stay two surfels: the newer one owns the cell
+            along = sums[k, 3] * normals[i, 0] + sums[k, 4] * normals[i, 1]
+            if has_normal and along < 0.0:
+                k = -1
+        if k < 0:
+            k = count
+            owner[r, c] = k
+            count += 1
+        sums[k, 0] += points[i, 0]
+        sums[k, 1] += points[i, 1]
+        sums[k, 2] += 1.0
+        sums[k, 3] += normals[i, 0]
+        sums[k, 4] += normals[i, 1]
+    means, directions = np.empty((count, 2)), np.zeros((count, 2))
+    for k in range(count):
+        means[k, 0] = sums[k, 0] / sums[k, 2]
+        means[k, 1] = sums[k, 1] / sums[k, 2]
+        length = np.sqrt(sums[k, 3] ** 2 + sums[k, 4] ** 2)
+        if length > 0.5:  # normals of several scans that agree, or of one
+            directions[k, 0] = sums[k, 3] / length
+            directions[k, 1] = sums[k, 4] / length
+    return means, directions
+
+
+@njit(cache=True)
+def _stamp(
+    points: FloatArray, low: FloatArray, resolution: float, rows: int, cols: int
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint8]]:
+    nearest = np.full((rows, cols), -1, np.int32)
+    distance = np.full((rows, cols), np.float32(1e9))
+    for k in range(len(points)):
+        x, y = (points[k, 0] - low[0]) / resolution, (points[k, 1] - low[1]) / resolution
+        row, col = int(y), int(x)
+        for r in range(max(row - _REACH, 0), min(row + _REACH + 1, rows)):
+            dy = r + 0.5 - y
+            for c in range(max(col - _REACH, 0), min(col + _REACH + 1, cols)):
+                dx = c + 0.5 - x
+                d2 = np.float32(dx * dx + dy * dy)
+                if d2 < distance[r, c]:
+                    distance[r, c] = d2
+                    nearest[r, c] = k
+    likelihood = np.zeros((rows, cols), np.uint8)
+    for r in range(rows):
+        for c in range(cols):
+            if nearest[r, c] >= 0:
+                likelihood[r, c] = np.uint8(255.0 * np.exp(-0.5 * distance[r, c]))
+    return nearest, likelihood
+
+
+def _pool(grid: npt.NDArray[np.uint8], factor: int, stride: int) -> npt.NDArray[np.uint8]:
+    """Sliding maximum: out[r, c] = max of grid[r + i * stride, c + j * stride], i, j < factor."""
+    out = grid.copy()
+    for k in range(1, factor):
+        np.maximum(out[:, : -k * stride], grid[:, k * stride :], out=out[:, : -k * stride])
+    across = out.copy()
+    for k in range(1, factor):
+        np.maximum(out[: -k * stride], across[k * stride :], out=out[: -k * stride])
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A scan aligned with a surfel map."""
+
+    wTb: FloatArray  # (3,)
+    information: FloatArray  # (3, 3), of the match alone, in the tangent space at wTb: x, y, theta
+    inliers: float  # share of the surface points that found a partner, 0..1
+    residual: float  # m, robust RMS distance to the lines
+    converged: bool
+
+
+def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArray:
+    """Association gates from the uncertainty of the guess down to what noise explains, (k,)."""
+    end = 6.0 * sigma
+    return np.maximum(end, max(start, end) * 0.6 ** np.arange(iterations))
+
+
+def register(
+    b_points: FloatArray,
+    b_normals: FloatArray,
+    guess: FloatArray,
+    surfels: SurfelMap,
+    sigma: float,
+    gates: FloatArray,
+    prior_mean: FloatArray | None = None,
+    prior_information: FloatArray | None = None,
+) -> Registration:
+    """Align a scan with a surfel map by point-to-line least squares.
+
+    Args:
+        b_points: (n, 2), surface points of the scan.
+        b_normals: (n, 2), their normals.
+        guess: (3,), wTb to start from.
+        surfels: the map, in w.
+        sigma: m, standard deviation of a point across its line.
+        gates: (k,), m, association gate of each iteration.
+        prior_mean: (3,), wTb that odometry predicts, or None for the guess.
+        prior_information: (3, 3) of the prediction in the frame of the scan, or None for no prior.
+
+    Returns:
+        The aligned pose with the information of the match without the prior.
+    """
+    prior = np.zeros((3, 3)) if prior_information is None else prior_information
+    # Keeps the system solvable along a featureless hallway: 10 m and 10 rad of vague knowledge
+    prior = prior + np.diag([1e-2, 1e-2, 1e-2])
+    mean = guess if prior_mean is None else prior_mean
+    pose, information, matched, rms, converged = _register(
+        np.asarray(guess, float), b_points, b_normals, surfels.points, surfels.normals,
+        surfels.nearest, surfels.resolution, surfels.origin, sigma, gates,
+        np.asarray(mean, float), prior,
+    )  # fmt: skip
+    return Registration(pose, information, matched / max(len(b_points), 1), rms, converged)
+
+
+@njit(cache=True)
+def _normal_equations(
+    pose: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    map_points: FloatArray,
+    map_normals: FloatArray,
+    nearest: npt.NDArray[np.int32],
+    resolution: float,
+    origin: FloatArray,
+    sigma: float,
+    gate: float,
+) -> tuple[FloatArray, FloatArray, int, float, float]:
+    """H, b of the weighted squares for a right perturbation of the pose; matches; weights; squares."""
+    H, b = np.zeros((3, 3)), np.zeros(3)
+    rows, cols = nearest.shape
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    matched, weights, squares = 0, 0.0, 0.0
+    for i in range(len(points)):
+        px, py = points[i, 0], points[i, 1]
+        qx, qy = pose[0] + c * px - s * py, pose[1] + s * px + c * py
+        col = int(np.floor((qx - origin[0]) / resolution))
+        row = int(np.floor((qy - origin[1]) / resolution))
+        if row < 0 or row >= rows or col < 0 or col >= cols:
+            continue
+        k = nearest[row, col]
+        if k < 0:
+            continue
+        nx, ny = map_normals[k, 0], map_normals[k, 1]
+        ex, ey = qx - map_points[k, 0], qy - map_points[k, 1]
+        if ex * ex + ey * ey > gate * gate:
+            continue
+        # The surfel's normal in the frame of the scan; 45 degrees keep the two faces of a wall apart
+        jx, jy = c * nx + s * ny, -s * nx + c * ny
+        if jx * normals[i, 0] + jy * normals[i, 1] < 0.7:
+            continue
+        e = nx * ex + ny * ey
+        # Geman-McClure: what lies many sigmas off is another surface
+        u = 1.0 + (e / (3.0 * sigma)) ** 2
+        w = 1.0 / (u * u)
+        jt = -jx * py + jy * px
+        H[0, 0] += w * jx * jx
+        H[0, 1] += w * jx * jy
+        H[0, 2] += w * jx * jt
+        H[1, 1] += w * jy * jy
+        H[1, 2] += w * jy * jt
+        H[2, 2] += w * jt * jt
+        b[0] += w * jx * e
+        b[1] += w * jy * e
+        b[2] += w * jt * e
+        matched += 1
+        weights += w
+        squares += w * e * e
+    H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
+    return H, b, matched, weights, squares
+
+
+@njit(cache=True)
+def _register(
+    guess: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    map_points: FloatArray,
+    map_normals: FloatArray,
+    nearest: npt.NDArray[np.int32],
+    resolution: float,
+    origin: FloatArray,
+    sigma: float,
+    gates: FloatArray,
+    prior_mean: FloatArray,
+    prior: FloatArray,
+) -> tuple[FloatArray, FloatArray, int, float, bool]:
+    pose = guess.copy()
+    information = np.zeros((3, 3))
+    matched, rms, converged = 0, np.inf, False
+    for iteration in range(len(gates)):
+        H, b, matched, weights, squares = _normal_equations(
+            pose, points, normals, map_points, map_normals, nearest, resolution, origin, sigma,
+            gates[iteration],
+        )  # fmt: skip
+        information[:] = H / (sigma * sigma)
+        if matched < 3:
+            rms = np.inf
+            break
+        rms = np.sqrt(squares / weights)
+        # The prior is a Gaussian around its mean, given in the frame of the scan
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        dx, dy = pose[0] - prior_mean[0], pose[1] - prior_mean[1]
+        turn = (pose[2] - prior_mean[2] + np.pi) % (2.0 * np.pi) - np.pi
+        off = np.array([c * dx + s * dy, -s * dx + c * dy, turn])
+        step = np.linalg.solve(information + prior, -(b / (sigma * sigma) + prior @ off))
+        pose[0] += c * step[0] - s * step[1]
+        pose[1] += s * step[0] + c * step[1]
+        pose[2] += step[2]
+        small = abs(step[0]) + abs(step[1]) < 1e-3 and abs(step[2]) < 5e-4
+        if small and gates[iteration] <= gates[-1]:
+            converged = True
+            break
+    pose[2] = (pose[2] + np.pi) % (2.0 * np.pi) - np.pi
+    return pose, information, matched, rms, converged
