@@ -25,6 +25,7 @@ from rgslam.types import GatewayClass, LaserScan, Message, RegionClass
 
 pipeline = pytest.importorskip("rgslam.pipeline", reason="the mapper is not built yet")
 
+NOISE = 0.012  # m, of a simulated range
 CELL = 0.05  # m, of the occupancy grid: what outlines and posts are read from
 
 
@@ -68,11 +69,11 @@ def test_every_scan_has_its_pose(rg_map: RGMap, recording: SimulatedRecording) -
     truth = recording.truth.trajectory
     np.testing.assert_array_equal(rg_map.trajectory.stamps, truth.stamps)
     errors = trajectory_errors(rg_map.trajectory, truth)
-    # A scan of 361 beams with 12 mm noise fixes a pose to a millimetre or two; a wall seen from
-    # both of its sides may be off by the rounding of the ranges, a centimetre
-    assert errors.ate.rmse < 0.015
-    assert errors.rotation_deg.rmse < 0.3
-    assert errors.rpe_1m is not None and errors.rpe_1m.rmse < 0.015
+    # Some 361 beams fix a pose far better than the one beam's noise, which is left for the drift
+    assert errors.ate.rmse < NOISE
+    # That noise at the ends of a wall of 4 m
+    assert errors.rotation_deg.rmse < np.rad2deg(2 * NOISE / 4.0)
+    assert errors.rpe_1m is not None and errors.rpe_1m.rmse < NOISE
 
 
 def test_two_rooms_and_the_door_between_them(rg_map: RGMap, recording: SimulatedRecording) -> None:
@@ -132,9 +133,11 @@ def test_a_log_of_the_run_gives_the_same_map(
 ) -> None:
     write_carmen(recording, tmp_path / "run.clf")
     again = pipeline.build_map(open_recording(tmp_path / "run.clf"))
-    # Odometry is rounded to a micrometre; matching may end elsewhere within its own tolerance
+    # The log rounds odometry to a micrometre. Matching decides between cells and neighbours, so the
+    # smallest change may move a pose by as much as the noise of the ranges does, twice at most
     offset = between(rg_map.trajectory.wTb, again.trajectory.wTb)
-    assert np.abs(offset[:, :2]).max() < 2e-3
+    assert np.hypot(offset[:, 0], offset[:, 1]).max() < 2 * NOISE
+    assert trajectory_errors(again.trajectory, recording.truth.trajectory).ate.rmse < NOISE
     assert len(again.regions) == 2 and len(again.gateways) == 1
 
 
@@ -142,7 +145,7 @@ def test_scores_of_the_folder(recording: SimulatedRecording, folder: Path, tmp_p
     recording.truth.save(tmp_path / "truth.json")
     scores = evaluate_map(folder, truth=tmp_path / "truth.json").to_dict()["truth"]
     assert scores["trajectory"]["matched"] == len(recording.truth.trajectory.stamps)
-    assert scores["trajectory"]["ate"]["rmse_m"] < 0.015
+    assert scores["trajectory"]["ate"]["rmse_m"] < NOISE
     assert scores["gateways"]["found"] == 1
     json.dumps(scores, allow_nan=False)
 
@@ -182,7 +185,7 @@ def test_without_odometry_the_scans_alone_make_the_map(recording: SimulatedRecor
     scans = Changed(recording, lambda m: m if isinstance(m, LaserScan) else None)
     errors = trajectory_errors(pipeline.build_map(scans).trajectory, recording.truth.trajectory)
     assert errors.matched == errors.total
-    assert errors.ate.rmse < 0.05
+    assert errors.ate.rmse < 2 * NOISE
 
 
 def test_beams_that_are_not_numbers_are_left_out(recording: SimulatedRecording) -> None:
@@ -196,7 +199,7 @@ def test_beams_that_are_not_numbers_are_left_out(recording: SimulatedRecording) 
     errors = trajectory_errors(
         pipeline.build_map(Changed(recording, spoil)).trajectory, recording.truth.trajectory
     )
-    assert errors.ate.rmse < 0.02
+    assert errors.ate.rmse < 2 * NOISE
 
 
 def test_no_scan_at_all_is_one_clear_error(recording: SimulatedRecording) -> None:

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from rgslam.errors import WorldError
 from rgslam.geometry import between, compose, wrap_angle
 from rgslam.loaders import Recording
-from rgslam.simulation import BUILT_IN_WORLDS, World, drive, simulate
+from rgslam.simulation import BUILT_IN_WORLDS, Drive, World, drive, simulate
 from rgslam.simulation.building import build_solids, footprint, true_gateways, true_regions
 from rgslam.simulation.recording import SimulatedRecording
 from rgslam.simulation.sensors import read_wheels
@@ -35,6 +35,12 @@ def recording() -> SimulatedRecording:
 @pytest.fixture(scope="module")
 def office() -> World:
     return World.built_in("office")
+
+
+@pytest.fixture(scope="module")
+def motion(office: World) -> Drive:
+    """The drive through the office."""
+    return drive(office.route)
 
 
 def scans_of(recording: Recording) -> list[LaserScan]:
@@ -189,9 +195,8 @@ def wheels(**changes: float) -> OdometrySensor:
     return OdometrySensor.model_validate({**quiet, **changes})
 
 
-def test_odometry_noise_is_as_declared(office: World) -> None:
+def test_odometry_noise_is_as_declared(motion: Drive) -> None:
     sensor = wheels()
-    motion = drive(office.route)
     times = np.arange(int(motion.times[-1] * 20)) / 20.0
     wTb = motion.poses_at(times)
     oTb = read_wheels(sensor, wTb, times, np.random.default_rng(5))
@@ -271,8 +276,7 @@ def test_built_in_routes_keep_clear_and_within_the_limits(name: str) -> None:
         assert np.hypot(*(motion.wTb[:, :2] - way_point.at).T).min() < 0.4
 
 
-def test_drive_is_the_integral_of_its_velocities(office: World) -> None:
-    motion = drive(office.route)
+def test_drive_is_the_integral_of_its_velocities(motion: Drive) -> None:
     step = between(motion.wTb[:-1], motion.wTb[1:])
     dt = np.diff(motion.times)
     v, omega = motion.velocities[:-1].T
@@ -281,7 +285,7 @@ def test_drive_is_the_integral_of_its_velocities(office: World) -> None:
     assert np.abs(step[:, 1]).max() < 1e-4  # no sideways motion but the arc's
 
 
-def test_the_office_is_an_office_floor(office: World) -> None:
+def test_the_office_is_an_office_floor(office: World, motion: Drive) -> None:
     regions, gateways = true_regions(office), true_gateways(office)
     assert len(regions) >= 9
     assert {r.label for r in regions} == {
@@ -292,7 +296,6 @@ def test_the_office_is_an_office_floor(office: World) -> None:
     doors = [g for g in gateways if g.label is GatewayClass.NARROW_PASSAGE]
     assert len(doors) >= 10
     np.testing.assert_allclose([d.width for d in doors], 1.01, atol=1e-9)
-    motion = drive(office.route)
     visited = shapely.points(motion.wTb[:, :2])
     for region in regions:
         assert shapely.contains(shapely.Polygon(region.polygon), visited).any(), region.name
