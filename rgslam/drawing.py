@@ -178,7 +178,8 @@ def _extent(picture: Picture) -> tuple[float, float, float, float]:
 
 def _draw_title(figure: Any, picture: Picture, width: float, height: float) -> None:
     x = _SIDE_PX / width
-    title, subtitle = FontProperties(_FONT, weight="bold", size=16), FontProperties(_FONT, size=11)
+    title = FontProperties(family=_FONT, weight="bold", size=16)
+    subtitle = FontProperties(family=_FONT, size=11)
     for text, font, colour, down in (
         (picture.title, title, _TEXT, 36),
         (picture.subtitle, subtitle, _QUIET_TEXT, 62),
@@ -197,7 +198,7 @@ def _draw_scale_bar(figure: Any, px_per_m: float, width: float, height: float) -
     y, tick = 24.0 / height, 5.0 / height
     xs, ys = [x0, x0, x0, x1, x1, x1], [y + tick, y - tick, y, y, y - tick, y + tick]
     figure.add_artist(Line2D(xs, ys, color=_TEXT, linewidth=1.6, transform=figure.transFigure))
-    font = FontProperties(_FONT, size=10)
+    font = FontProperties(family=_FONT, size=10)
     middle = (x0 + x1) / 2.0
     figure.text(
         middle, y + 6.0 / height, f"{length:g} m", ha="center", fontproperties=font, color=_TEXT
@@ -226,7 +227,7 @@ def _draw_legend(figure: Any, picture: Picture, height: float) -> None:
         bbox_to_anchor=(1.0, 4.0 / height),
         ncols=(len(handles) + 1) // 2,
         frameon=False,
-        prop=FontProperties(_FONT, size=9.5),
+        prop=FontProperties(family=_FONT, size=9.5),
         labelcolor=_TEXT,
         columnspacing=1.4,
         handlelength=1.8,
@@ -378,7 +379,7 @@ def _label_region(
     # Rather a smaller label in the middle than a large one in a corner, rather that than no class.
     reaches = (20.0, float(np.ptp(outline, axis=0).max()))
     for text, reach, size in itertools.product(texts, reaches, _REGION_LABEL_SIZES):
-        font = FontProperties(_FONT, weight="bold", size=size)
+        font = FontProperties(family=_FONT, weight="bold", size=size)
         place = placer.place_inside(anchor, measure.size(text, font), outline, reach)
         if place is not None:
             _write(ax, place.centre, text, font, colour)
@@ -390,7 +391,7 @@ def _label_region(
 
 def _label_gateway(ax: Any, gateway: Gateway, placer: LabelPlacer, measure: _TextMeasure) -> None:
     text = gateway_name(gateway)
-    font = FontProperties(_FONT, weight="bold", size=_GATEWAY_LABEL_SIZE)
+    font = FontProperties(family=_FONT, weight="bold", size=_GATEWAY_LABEL_SIZE)
     anchor = ax.transData.transform(gateway.points.mean(axis=0)[None])[0]
     along = gateway.points[1] - gateway.points[0]
     across = float(np.arctan2(along[0], -along[1]))

@@ -170,6 +170,8 @@ def width_sigma(gateway: Gateway) -> float:
 
 
 def _label_traces(rg_map: RGMap) -> list[Figure]:
+    points = np.concatenate([np.zeros((0, 2)), *(region.polygon for region in rg_map.regions)])
+    px_per_m = 650.0 / max(1.0, float(np.ptp(points, axis=0).max())) if len(points) else 1.0
     regions = [label_place(region.polygon) for region in rg_map.regions]
     gateways = [gateway.points.mean(axis=0) for gateway in rg_map.gateways]
     common: Figure = {"type": "scatter", "mode": "text", "hoverinfo": "skip"}
@@ -178,7 +180,9 @@ def _label_traces(rg_map: RGMap) -> list[Figure]:
         {
             **common,
             **_xy(np.reshape(regions, (-1, 2))),
-            "text": [f"<b>{escape(region_name(region))}</b>" for region in rg_map.regions],
+            "text": [
+                f"<b>{escape(_short_name(region, px_per_m))}</b>" for region in rg_map.regions
+            ],
             "textfont": {"size": 13, "color": "#1f2328"},
         },
         {
@@ -193,6 +197,13 @@ def _label_traces(rg_map: RGMap) -> list[Figure]:
             },
         },
     ]
+
+
+def _short_name(region: Region, px_per_m: float) -> str:
+    """The name of a region, without its class where that is wider than the region."""
+    name = region_name(region)
+    fits = 8.0 * len(name) < px_per_m * float(np.ptp(region.polygon[:, 0]))  # 8 px a letter
+    return name if fits else f"R{region.id}"
 
 
 def _path_line(rg_map: RGMap) -> Figure:

@@ -215,6 +215,8 @@ def _check_scans(keyframes: Keyframes, trajectory: Trajectory, path: Path) -> No
 
 
 def _read_config(path: Path) -> Config:
+    if not _read(path.parent, path.name)[0].strip():
+        raise MapError(f"{path}: is empty")
     try:
         return Config.from_yaml(path)
     except ConfigError as error:
