@@ -16,9 +16,6 @@ import numpy as np
 
 from rgslam.types import FloatArray
 
-_DOT, _SPACE = ord("."), ord(" ")
-_EXACT_INTEGERS = 1 << 53  # below it a float holds every integer
-
 
 @dataclass(frozen=True, eq=False)
 class ScanRecord:
@@ -111,32 +108,10 @@ def parse_numbers(text: bytes, n: int) -> FloatArray:
     Raises:
         ValueError: another number of fields, or a field that is no number.
     """
-    fixed = _fixed_point(text, n)
-    if fixed is not None:
-        return fixed
     fields = text.split()
     if len(fields) != n:
         raise ValueError(f"{len(fields)} numbers instead of {n}")
     return np.array(fields, dtype=np.float64)
-
-
-def _fixed_point(text: bytes, n: int) -> FloatArray | None:
-    """Numbers of one and the same number of decimals, as loggers write them, in half the time.
-
-    An integer below 2^53 divided by a power of ten up to 10^22 is rounded once, as `float` does.
-    """
-    if text.translate(None, b"0123456789. ") or not text:
-        return None
-    characters = np.frombuffer(text, np.uint8)
-    dots = (characters == _DOT).nonzero()[0]
-    spaces = (characters == _SPACE).nonzero()[0]
-    decimals = len(text) - 1 - int(dots[-1]) if len(dots) == n == len(spaces) + 1 else 0
-    if not 0 < decimals < 16 or not (spaces - dots[:-1] == decimals + 1).all():
-        return None
-    digits = np.fromstring(text.translate(None, b"."), dtype=np.int64, sep=" ")
-    if len(digits) != n or digits.max() >= _EXACT_INTEGERS:
-        return None
-    return digits / 10.0**decimals
 
 
 def _scanner_and_ranges(
