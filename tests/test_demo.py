@@ -104,7 +104,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def full(*args: object, **kwargs: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(rgslam.demo, "_swap_in", full)
+    monkeypatch.setattr(rgslam.demo, "write_carmen", full)
     with pytest.raises(MapError, match="No space left on device"):
         run_demo(tmp_path / "out", duration=SECONDS)
     assert names(tmp_path) == []

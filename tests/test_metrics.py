@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import bz2
+import dataclasses
 import json
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from rgslam.map_json import encode_rg_map
 from rgslam.metrics import (
     ErrorSummary,
     Relations,
+    crossing_errors,
     evaluate_map,
     gateway_errors,
     keyframe_errors,
@@ -35,6 +37,7 @@ from rgslam.metrics.against_truth import align, relative_errors
 from rgslam.metrics.consistency import pose2_log
 from rgslam.truth import Truth, TruthGateway, TruthRegion, read_truth
 from rgslam.types import (
+    Crossing,
     FloatArray,
     Gateway,
     GatewayClass,
@@ -424,6 +427,33 @@ def test_maps_are_compared_where_they_are_aligned(tTw: FloatArray) -> None:
     room = TruthRegion("room", RegionClass.ROOM, transform_points(tTw, w_room))
     assert gateway_errors([gateway(w_posts.tolist())], [truth], tTw).found == 1
     assert region_errors([region(w_room)], [room], tTw).mean_iou == pytest.approx(1.0, abs=1e-6)
+
+
+def crossed(posts: list[list[float]], stamps: list[float], number: int = 1) -> Gateway:
+    crossings = tuple(Crossing(stamp, 1, 2) for stamp in stamps)
+    return dataclasses.replace(gateway(posts, number), crossings=crossings)
+
+
+def test_crossings_found_missed_and_false() -> None:
+    """1 m/s along x to 10 m and back, through doors at 2 m and 6 m, past one at 4 m."""
+    t = np.arange(0.0, 20.05, 0.1)
+    x = np.where(t < 10.0, t, 20.0 - t)
+    path = Trajectory(t, np.stack([x, 0.03 + 0.0 * t, np.where(t < 10.0, 0.0, np.pi)], axis=-1))
+    first, second = [[2.0, -0.5], [2.0, 0.5]], [[6.0, -0.5], [6.0, 0.5]]
+    beside = [[4.0, 0.5], [4.0, 1.5]]
+    truth = [true_gateway(n, p) for n, p in zip("abc", (first, second, beside), strict=True)]
+    gateways = [
+        # Late by 0.4 m; there twice, back not at all
+        crossed(first, [2.4, 2.1], 1),
+        crossed(beside, [4.0], 2),
+        crossed([[8.0, 0.0], [8.0, 1.0]], [8.0, 12.0], 3),  # no gateway at all
+    ]
+    pairs = np.array([[0, 0], [1, 2]])
+    errors = crossing_errors(gateways, truth, pairs, path)
+    assert (errors.true, errors.found, errors.false) == (4, 1, 4)
+    perfect = [crossed(first, [2.0, 18.0]), crossed(second, [6.0, 14.0], 2), crossed(beside, [], 3)]
+    errors = crossing_errors(perfect, truth, np.array([[0, 0], [1, 1], [2, 2]]), path)
+    assert (errors.true, errors.found, errors.false) == (4, 4, 0)
 
 
 def region(polygon: FloatArray, number: int = 1, label: RegionClass = RegionClass.ROOM) -> Region:

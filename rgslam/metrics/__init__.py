@@ -14,6 +14,7 @@ from rgslam.metrics.against_truth import (
     trajectory_errors,
 )
 from rgslam.metrics.consistency import Nees, keyframe_errors, nees
+from rgslam.metrics.crossings import CrossingErrors, crossing_errors
 from rgslam.metrics.evaluation import Evaluation, evaluate_map
 from rgslam.metrics.relations import (
     ErrorSummary,
@@ -25,6 +26,7 @@ from rgslam.metrics.relations import (
 )
 
 __all__ = [
+    "CrossingErrors",
     "ErrorSummary",
     "Evaluation",
     "GatewayErrors",
@@ -33,6 +35,7 @@ __all__ = [
     "RelationErrors",
     "Relations",
     "TrajectoryErrors",
+    "crossing_errors",
     "evaluate_map",
     "gateway_errors",
     "keyframe_errors",

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from rgslam.metrics.against_truth import (
     trajectory_errors,
 )
 from rgslam.metrics.consistency import Nees, keyframe_errors, nees
+from rgslam.metrics.crossings import CrossingErrors, crossing_errors
 from rgslam.metrics.relations import ErrorSummary, RelationErrors, kuemmerle, read_relations
 from rgslam.truth import read_truth
 from rgslam.types import Trajectory
@@ -37,6 +39,7 @@ class TruthErrors:
 
     trajectory: TrajectoryErrors
     gateways: GatewayErrors
+    crossings: CrossingErrors
     regions: RegionErrors
     true_gateways: int
     true_regions: int
@@ -138,9 +141,13 @@ def _against_truth(
         consistency = nees(*keyframe_errors(keyframes, truth.trajectory))
     except EvaluationError as error:
         consistency = str(error)
+    gateways = gateway_errors(document["gateways"], truth.gateways, poses.tTw)
     return TruthErrors(
         trajectory=poses,
-        gateways=gateway_errors(document["gateways"], truth.gateways, poses.tTw),
+        gateways=gateways,
+        crossings=crossing_errors(
+            document["gateways"], truth.gateways, gateways.pairs, truth.trajectory
+        ),
         regions=region_errors(document["regions"], truth.regions, poses.tTw),
         true_gateways=len(truth.gateways),
         true_regions=len(truth.regions),
@@ -228,6 +235,7 @@ def _truth_dict(errors: TruthErrors) -> dict[str, Any]:
             "width_error_max_m": _max(np.abs(gateways.width_error)),
             "post_error_mean_m": _mean(gateways.post_error),
         },
+        "crossings": dataclasses.asdict(errors.crossings),
         "regions": {
             "true": errors.true_regions,
             "in_map": regions.regions,
@@ -326,6 +334,8 @@ def _gateway_rows(errors: TruthErrors) -> Iterator[Row]:
     width, posts = _mean(np.abs(gateways.width_error)), _mean(gateways.post_error)
     if width is not None and posts is not None:
         yield "gateway errors", f"width {100 * width:.1f} cm, posts {100 * posts:.1f} cm (mean)"
+    crossings = errors.crossings
+    yield "crossings found", f"{crossings.found} of {crossings.true}, {crossings.false} false"
 
 
 def _counts_rows(counts: Counts) -> Iterator[Row]:
