@@ -29,7 +29,8 @@ class ScanMatchingConfig(StageConfig):
     local_keyframes: int = Field(12, ge=1)  # newest keyframes that a scan is aligned with
     keyframe_distance: float = Field(0.4, gt=0.0)  # m between keyframes
     keyframe_angle_deg: float = Field(20.0, gt=0.0)  # turn between keyframes
-    min_inliers: float = Field(0.4, ge=0.0, le=1.0)  # share of points of a match to be trusted
+    min_inliers: float = Field(0.1, ge=0.0, le=1.0)  # share of points that must fit the local map
+    doubtful_inliers: float = Field(0.4, ge=0.0, le=1.0)  # below it, slip is considered
     beam_correlation: float = Field(5.0, ge=1.0)  # neighbouring beams that err alike: one counts
 
 
@@ -107,6 +108,9 @@ class RegionConfig(StageConfig):
     least_area: float = Field(
         1.5, gt=0.0
     )  # m^2, a cubicle; smaller pieces belong to their neighbour
+    # Share of a piece's edge that must be wall: a view through a window or past a corner, with the
+    # unknown all round, is no place of its own.
+    least_seen: float = Field(0.15, ge=0.0, le=1.0)
     hallway_elongation: float = Field(3.0, gt=1.0)  # length over width
     hallway_width: float = Field(4.0, gt=0.0)  # m, widest hallway (above it is an open space)
     open_space_width: float = Field(6.0, gt=0.0)  # m, a room this wide both ways is an open space

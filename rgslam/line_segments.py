@@ -55,8 +55,8 @@ def _split(points: FloatArray, tolerance: float) -> list[tuple[int, int]]:
 
 def extract_line_segments(
     chains: list[FloatArray], tolerance: float, least_length: float, floor_sigma: float
-) -> tuple[LineSegment, ...]:
-    """Few line segments that explain ordered boundary points.
+) -> tuple[tuple[LineSegment, ...], float | None]:
+    """Few line segments that explain ordered boundary points, and the RMS distance of the points.
 
     Args:
         chains: open chains of points (n, 2), in order along the boundary.
@@ -65,6 +65,7 @@ def extract_line_segments(
         floor_sigma: standard deviation that no segment goes below (discretisation), m.
     """
     segments = []
+    squares, explained = 0.0, 0
     for chain in chains:
         if len(chain) < 3:
             continue
@@ -83,7 +84,8 @@ def extract_line_segments(
             ends, rms = _fit(chain[a:b])
             if np.linalg.norm(ends[1] - ends[0]) >= least_length:
                 segments.append(LineSegment(ends, float(np.hypot(rms, floor_sigma))))
-    return tuple(segments)
+                squares, explained = squares + rms**2 * (b - a), explained + b - a
+    return tuple(segments), float(np.sqrt(squares / explained)) if explained else None
 
 
 def _max_distance(points: FloatArray) -> float:

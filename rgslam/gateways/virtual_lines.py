@@ -112,12 +112,17 @@ def _shrinks(
     slides: FloatArray,
 ) -> bool:
     """Whether sliding one end along its wall makes the chord to the other end shorter."""
-    length = np.hypot(end[0] - other[0], end[1] - other[1])
-    reached = _slides(outline, end, slides)
-    for k in range(len(reached)):
+    points, following, previous = outline
+    x, y, before, after = end
+    length = np.hypot(x - other[0], y - other[1])
+    for distance in slides:
         # Slack for the staircase of slanted walls, in cells, and for walls not quite square.
-        slack = _STAIRCASE + 0.1 * slides[k // 2]
-        if np.hypot(reached[k, 0] - other[0], reached[k, 1] - other[1]) < length - slack:
+        enough = length - _STAIRCASE - 0.1 * distance
+        px, py = _slide(points, following, x, y, after, distance)
+        if np.hypot(px - other[0], py - other[1]) < enough:
+            return True
+        px, py = _slide(points, previous, x, y, before, distance)
+        if np.hypot(px - other[0], py - other[1]) < enough:
             return True
     return False
 
@@ -155,6 +160,54 @@ def _foot(
 
 
 @nb.njit(cache=True)
+def _bin_edges(
+    points: FloatArray, following: IntArray, size: float
+) -> tuple[IntArray, IntArray, int, int]:
+    """Edges by square bins: bin k of the (rows, columns) holds members[starts[k]:starts[k + 1]]."""
+    columns = int(points[:, 0].max() / size) + 1
+    rows = int(points[:, 1].max() / size) + 1
+    starts = np.zeros(rows * columns + 1, np.int64)
+    members = np.empty(0, np.int64)
+    for count in (True, False):  # first count the members of each bin, then write them down
+        fill = starts[:-1].copy()
+        for j in range(len(points)):
+            k = following[j]
+            x0, x1 = min(points[j, 0], points[k, 0]), max(points[j, 0], points[k, 0])
+            y0, y1 = min(points[j, 1], points[k, 1]), max(points[j, 1], points[k, 1])
+            for row in range(int(y0 / size), int(y1 / size) + 1):
+                for column in range(int(x0 / size), int(x1 / size) + 1):
+                    cell = row * columns + column
+                    if count:
+                        starts[cell + 1] += 1
+                    else:
+                        members[fill[cell]] = j
+                        fill[cell] += 1
+        if count:
+            starts = np.cumsum(starts)
+            members = np.empty(starts[-1], np.int64)
+    return starts, members, rows, columns
+
+
+@nb.njit(cache=True)
+def _is_chord(
+    free: BoolArray,
+    outline: tuple[FloatArray, IntArray, IntArray],
+    a: tuple[float, float, int, int],
+    b: tuple[float, float, int, int],
+    longest: float,
+    slides: FloatArray,
+) -> bool:
+    """Whether two ends are joined by a free, locally shortest chord of allowed length."""
+    length = np.hypot(b[0] - a[0], b[1] - a[1])
+    return (
+        2.0 < length <= longest
+        and not _shrinks(outline, a, b, slides)
+        and not _shrinks(outline, b, a, slides)
+        and is_free_segment(free, a[0], a[1], b[0], b[1])
+    )
+
+
+@nb.njit(cache=True)
 def _candidates(
     free: BoolArray,
     outline: tuple[FloatArray, IntArray, IntArray],
@@ -170,29 +223,36 @@ def _candidates(
     is_post = np.zeros(len(points), np.bool_)
     for i in posts:
         is_post[i] = True
+    size = longest / 4.0
+    starts, members, rows, columns = _bin_edges(points, following, size)
+    done = np.full(len(points), -1)
     for i in posts:
-        a = (points[i, 0], points[i, 1], previous[i], following[i])
-        for j in range(len(points)):
-            k = following[j]
-            ends = [(points[j, 0], points[j, 1], previous[j], k)]  # post to post
-            if not is_post[j] or j <= i:
-                ends.clear()
-            if i not in (j, k):
-                faces, foot = _foot(points, j, k, a[0], a[1])  # post to the wall across
-                if faces:
-                    ends.append(foot)
-            for b in ends:
-                if (
-                    np.hypot(b[0] - a[0], b[1] - a[1]) <= longest
-                    and not _shrinks(outline, a, b, slides)
-                    and not _shrinks(outline, b, a, slides)
-                    and is_free_segment(free, a[0], a[1], b[0], b[1])
-                ):
-                    extends_a = _extension(outline, a, b, reaches)
-                    # The foot of a perpendicular is square on to its wall by construction.
-                    is_foot = b[2] == j
-                    extends_b = 0.0 if is_foot else _extension(outline, b, a, reaches)
-                    found.append((a[0], a[1], b[0], b[1], extends_a, extends_b))
+        x, y = points[i, 0], points[i, 1]
+        a = (x, y, previous[i], following[i])
+        for row in range(
+            max(0, int((y - longest) / size)), min(rows, int((y + longest) / size) + 1)
+        ):
+            for column in range(
+                max(0, int((x - longest) / size)), min(columns, int((x + longest) / size) + 1)
+            ):
+                cell = row * columns + column
+                for j in members[starts[cell] : starts[cell + 1]]:
+                    if done[j] == i:
+                        continue
+                    done[j] = i
+                    k = following[j]
+                    # Post to post.
+                    b = (points[j, 0], points[j, 1], previous[j], k)
+                    if j > i and is_post[j] and _is_chord(free, outline, a, b, longest, slides):
+                        ea = _extension(outline, a, b, reaches)
+                        eb = _extension(outline, b, a, reaches)
+                        found.append((x, y, b[0], b[1], ea, eb))
+                    # Post to the wall across, to which the line is square by construction.
+                    if i in (j, k):
+                        continue
+                    faces, b = _foot(points, j, k, x, y)
+                    if faces and _is_chord(free, outline, a, b, longest, slides):
+                        found.append((x, y, b[0], b[1], _extension(outline, a, b, reaches), 0.0))
     return found
 
 
@@ -226,6 +286,8 @@ def find_virtual_lines(
             the unknown has corners too, and they are no posts.
     """
     posts = find_posts(outlines, least_turn)
+    if len(posts) == 0:
+        return VirtualLines(np.zeros((0, 2, 2)), np.zeros(0), np.zeros((0, 2)))
     slides = np.array([0.5, 1.0]) * slide
     found = _candidates(
         np.ascontiguousarray(free), (outlines.points, outlines.next, outlines.previous),

@@ -16,13 +16,15 @@ from rgslam.config import RegionConfig
 from rgslam.geometry import inverse, transform_points
 from rgslam.line_segments import extract_line_segments, main_axes
 from rgslam.outlines import signed_area, trace_outlines
-from rgslam.types import FloatArray, Gateway, IntArray, LineSegment, Region, RegionClass
+from rgslam.types import FloatArray, Gateway, IntArray, Region, RegionClass
 
 BoolArray = npt.NDArray[np.bool_]
 LabelArray = npt.NDArray[np.int32]
 
 # Lines shorter than this carry no direction: about the depth of a door frame, m.
 _SHORTEST_LINE = 0.3
+# Footprint below which a speck is noise, m^2: the leg of a chair, or one cell of a coarse grid.
+_SMALLEST_OBJECT = 0.0025
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,47 +83,49 @@ def _boundary_chains(
 ) -> tuple[list[FloatArray], float | None]:
     """Chains of boundary points (n, 2) at walls, in w, and the share of the boundary that is wall.
 
-    One point per unit crack; gateways belong to neither. A crack is wall when the cell beyond it,
-    or the one after, was seen occupied; else it is the edge of the unknown.
+    One point per unit crack; gateways belong to neither. A crack is wall when the cell beyond it or
+    one next to that was seen occupied; else it is the edge of the unknown.
     """
-    # A small object that stands against a wall belongs to the region's cells, but what lies
-    # behind it is the wall: outlines of the cells, tolerance 0, are exact.
-    rings = trace_outlines(view.inside & ~view.solid, 0.0).polygons()
-    posts = np.array([g.points for g in gateways]).reshape(-1, 2, 2)
+    rings = trace_outlines(view.inside, 0.0).polygons()  # exact: unit steps or multiples
+    openings = np.zeros(view.inside.shape, np.uint8)
+    for g in gateways:
+        a, b = np.floor((g.points - view.origin) / view.resolution).astype(int) - view.corner[::-1]
+        cv2.line(openings, a.tolist(), b.tolist(), 1, 5)
+    walls_near = _dilated_once(view.is_wall)
     chains: list[FloatArray] = []
     walls = cracks = 0
     for ring in rings:
         points, normals = _unit_cracks(ring)
-        w_points = view.world(points)
-        at_gateway = _near_segments(w_points, posts, 2.0 * view.resolution)
-        wall = np.zeros(len(points), bool)
-        for reach in (0.5, 1.5):
-            beyond = np.floor(points + reach * normals).astype(int)
-            ok = ((beyond >= 0) & (beyond < view.is_wall.shape[::-1])).all(axis=1)
-            wall[ok] |= view.is_wall[beyond[ok, 1], beyond[ok, 0]]
+        at_gateway = _lookup(openings, points - 0.5 * normals)
+        wall = _lookup(walls_near, points + 0.5 * normals) & ~at_gateway
         cracks += int((~at_gateway).sum())
-        walls += int((wall & ~at_gateway).sum())
-        chains += _runs(w_points, wall & ~at_gateway)
+        walls += int(wall.sum())
+        if wall.sum() >= 3:
+            chains += _runs(view.world(points), wall)
     return chains, (walls / cracks if cracks else None)
+
+
+def _dilated_once(cells: BoolArray) -> npt.NDArray[np.uint8]:
+    return np.asarray(cv2.dilate(cells.astype(np.uint8), np.ones((3, 3), np.uint8)))
+
+
+def _lookup(image: npt.NDArray[np.uint8], points: FloatArray) -> BoolArray:
+    """Whether the cells (x, y) of points (n, 2) are set; outside the image they are not."""
+    cells = np.floor(points).astype(np.int64)
+    inside = ((cells >= 0) & (cells < image.shape[::-1])).all(axis=1)
+    found = np.zeros(len(points), bool)
+    found[inside] = image[cells[inside, 1], cells[inside, 0]] > 0
+    return found
 
 
 def _unit_cracks(ring: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Midpoints (n, 2) of the unit edges of an axis-parallel ring and their outward normals."""
-    steps = np.roll(ring, -1, axis=0) - ring
+    steps = np.concatenate([ring[1:], ring[:1]]) - ring
     counts = np.abs(steps).sum(axis=1).astype(int)
     direction = np.repeat(steps / counts[:, None], counts, axis=0)
     index = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     points = np.repeat(ring, counts, axis=0) + (index[:, None] + 0.5) * direction
     return points, np.stack([direction[:, 1], -direction[:, 0]], axis=1)
-
-
-def _near_segments(points: FloatArray, segments: FloatArray, distance: float) -> BoolArray:
-    near = np.zeros(len(points), bool)
-    for a, b in segments:
-        chord = b - a
-        t = np.clip((points - a) @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
-        near |= np.linalg.norm(points - a - t[:, None] * chord, axis=1) <= distance
-    return near
 
 
 def _runs(points: FloatArray, keep: BoolArray) -> list[FloatArray]:
@@ -136,28 +140,19 @@ def _runs(points: FloatArray, keep: BoolArray) -> list[FloatArray]:
     return [points[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _accuracy(chains: list[FloatArray], segments: tuple[LineSegment, ...]) -> float | None:
-    """RMS distance of the boundary points to the lines that explain them (within 3 sigma)."""
-    if not segments or not chains:
-        return None
-    points = np.concatenate(chains)
-    nearest = np.full(len(points), np.inf)
-    for s in segments:
-        chord = s.endpoints[1] - s.endpoints[0]
-        t = np.clip((points - s.endpoints[0]) @ chord / float(chord @ chord), 0.0, 1.0)
-        away = np.linalg.norm(points - s.endpoints[0] - t[:, None] * chord, axis=1)
-        nearest = np.minimum(nearest, np.where(away <= 3.0 * s.sigma, away, np.inf))
-    explained = nearest[np.isfinite(nearest)]
-    return float(np.sqrt(np.mean(explained**2))) if len(explained) else None
+def _objects(view: RegionView, least_area: float) -> tuple[FloatArray, ...]:
+    """Outlines (n, 2) in w, counter-clockwise, of what stands free in a region.
 
-
-def _objects(view: RegionView) -> tuple[FloatArray, ...]:
-    """Outlines (n, 2) in w of the free-standing objects of a region."""
-    holes = view.solid.copy()
-    # Larger obstacles that the region surrounds completely: unfilled holes of its outline.
-    hollow = trace_outlines(view.inside, 1.0).polygons()
-    outlines = [p[::-1] for p in hollow if signed_area(p) < 0.0]
-    outlines += [p for p in trace_outlines(holes, 1.0).polygons() if signed_area(p) > 0.0]
+    Small objects are filled in the region's cells, larger ones are holes of it; both count when
+    something solid was seen there (a patch of the unknown is no object) on more than `least_area`.
+    """
+    solid = view.solid & view.is_wall
+    outlines = []
+    for polygon in trace_outlines(view.inside, 1.0).polygons():
+        area = signed_area(polygon)
+        if area < -least_area:
+            outlines.append(polygon[::-1])
+    outlines += [p for p in trace_outlines(solid, 0.5).polygons() if signed_area(p) > least_area]
     return tuple(view.world(p) for p in outlines)
 
 
@@ -199,7 +194,9 @@ def describe_region(
     cell = view.resolution
     # Staircase of a slanted wall: up to 0.7 cells; walls are rarely flatter than 2-3 cm.
     tolerance = max(1.5 * cell, 0.06)
-    segments = extract_line_segments(chains, tolerance, _SHORTEST_LINE, cell / np.sqrt(12.0))
+    segments, accuracy = extract_line_segments(
+        chains, tolerance, _SHORTEST_LINE, cell / np.sqrt(12.0)
+    )
     axes = main_axes(segments)
     polygon = _outline(view)
     wTg, bbox = _frame_and_box(polygon, axes)
@@ -216,8 +213,8 @@ def describe_region(
         line_segments=segments,
         gateways=tuple(g.id for g in gateways),
         area=float((view.inside & ~view.solid).sum()) * cell**2,
-        objects_2d=_objects(view),
-        accuracy_m=_accuracy(chains, segments),
+        objects_2d=_objects(view, _SMALLEST_OBJECT / cell**2),
+        accuracy_m=accuracy,
         completeness=completeness,
     )
 

@@ -11,12 +11,12 @@ import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from rgslam.config import Config
+from rgslam.config import Config, RegionConfig
 from rgslam.gateways.passages import clearance_of, draw_wall, select_passages
 from rgslam.gateways.posts import refine_posts
 from rgslam.gateways.virtual_lines import find_virtual_lines
 from rgslam.outlines import trace_outlines
-from rgslam.regions.free_space import fill_islands
+from rgslam.regions.free_space import drop_slits, fill_islands
 from rgslam.types import FloatArray, IntArray
 
 BoolArray = npt.NDArray[np.bool_]
@@ -24,6 +24,8 @@ LabelArray = npt.NDArray[np.int32]
 
 # Noise of walls in a good grid: laser noise and pose error, 2 sigma, m.
 _WALL_NOISE = 0.06
+# Crevices this deep belong to the region they open to, m: a cupboard's gap; deeper is a leak.
+_CREVICE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +41,8 @@ class Partition:
 
 
 @nb.njit(cache=True)
-def _flood(labels: LabelArray, free: BoolArray) -> None:
-    """Spread labels over free cells without one, in place; ring by ring, eight-connected."""
+def _flood(labels: LabelArray, free: BoolArray, rings: int) -> None:
+    """Spread labels over free cells without one, in place; eight-connected, so many rings."""
     height, width = labels.shape
     rows = np.empty(labels.size, np.int32)
     cols = np.empty(labels.size, np.int32)
@@ -51,7 +53,13 @@ def _flood(labels: LabelArray, free: BoolArray) -> None:
                 continue
             rows[tail], cols[tail] = row, col
             tail += 1
+    ring_end = tail
     while head < tail:
+        if head == ring_end:
+            ring_end = tail
+            rings -= 1
+        if rings <= 0:
+            return
         row, col = rows[head], cols[head]
         head += 1
         # Straight neighbours first: a label slips through a diagonal gap only where it must.
@@ -64,16 +72,31 @@ def _flood(labels: LabelArray, free: BoolArray) -> None:
 
 
 @nb.njit(cache=True)
-def _largest_clearance(
-    labels: LabelArray, clearance: npt.NDArray[np.float32], count: int
-) -> npt.NDArray[np.float32]:
-    """Largest clearance (count,) in the cells of each label."""
-    largest = np.zeros(count, np.float32)
-    for row in range(labels.shape[0]):
-        for col in range(labels.shape[1]):
+def _measure(
+    labels: LabelArray,
+    clearance: npt.NDArray[np.float32],
+    space: BoolArray,
+    wall_near: BoolArray,
+    count: int,
+) -> FloatArray:
+    """Per label: cells, largest clearance, edges at a wall, all edges but passages; (4, count)."""
+    height, width = labels.shape
+    table = np.zeros((4, count))
+    for row in range(height):
+        for col in range(width):
             label = labels[row, col]
-            largest[label] = max(largest[label], clearance[row, col])
-    return largest
+            if label == 0:
+                continue
+            table[0, label] += 1.0
+            table[1, label] = max(table[1, label], clearance[row, col])
+            for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+                r, c = row + dr, col + dc
+                outside = r < 0 or c < 0 or r >= height or c >= width
+                if outside or not space[r, c]:
+                    table[3, label] += 1.0
+                    if not outside and wall_near[r, c]:
+                        table[2, label] += 1.0
+    return table
 
 
 def _side_labels(labels: LabelArray, posts: FloatArray) -> IntArray:
@@ -92,31 +115,52 @@ def _side_labels(labels: LabelArray, posts: FloatArray) -> IntArray:
     return sides
 
 
-def _merge_small(
-    sides: IntArray, widths: FloatArray, areas: FloatArray, radii: FloatArray, config: Config
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """What decides whether a piece of free space is a place of its own; row 0 is "no piece"."""
+
+    areas: FloatArray  # (n + 1,), m^2
+    radii: FloatArray  # (n + 1,), largest clearance, m
+    walls: FloatArray  # (n + 1,), length of edge at a wall, cells
+    edges: FloatArray  # (n + 1,), length of edge at a wall or at the unknown, cells
+
+    def are_places(self, config: RegionConfig) -> BoolArray:
+        """Large enough to be in, and not bounded by the unknown all round."""
+        return np.asarray(
+            (self.areas >= config.least_area)
+            & (self.radii >= config.least_radius)
+            & (self.walls >= config.least_seen * self.edges),
+            bool,
+        )
+
+
+def _join_pieces(
+    sides: IntArray, widths: FloatArray, pieces: Pieces, config: RegionConfig
 ) -> IntArray:
-    """New label (n + 1,) of every piece: those too small to be in join their neighbour."""
-    parent = np.arange(len(areas))
-    areas = areas.copy()
-    for piece in np.argsort(areas[1:], kind="stable") + 1:
-        if parent[piece] != piece:
-            continue
-        if (
-            areas[piece] >= config.regions.least_area
-            and radii[piece] >= config.regions.least_radius
-        ):
+    """New label (n + 1,) of every piece: one that is no place joins the neighbour it opens to.
+
+    Args:
+        sides: (m, 2), labels beside the passages.
+        widths: (m,) of the passages; the widest way out decides.
+        pieces: the pieces.
+        config: what a place is.
+    """
+    parent = np.arange(len(pieces.areas))
+    joined = Pieces(*(a.copy() for a in (pieces.areas, pieces.radii, pieces.walls, pieces.edges)))
+    for piece in np.argsort(pieces.areas[1:], kind="stable") + 1:
+        if parent[piece] != piece or joined.are_places(config)[piece]:
             continue
         roots = parent[sides]
-        touching = (roots == piece).sum(axis=1) == 1
-        touching &= (sides > 0).all(axis=1)
-        if touching.any():
-            line = int(np.argmax(np.where(touching, widths, -1.0)))
-            other = int(roots[line][roots[line] != piece][0])
-            areas[other] += areas[piece]
-            radii[other] = max(radii[other], radii[piece])
-            parent[parent == piece] = other
-    too_small = (areas < config.regions.least_area) | (radii < config.regions.least_radius)
-    parent[too_small[parent]] = 0
+        leads_out = ((roots == piece).sum(axis=1) == 1) & (sides > 0).all(axis=1)
+        if not leads_out.any():
+            continue
+        line = int(np.argmax(np.where(leads_out, widths, -1.0)))
+        other = int(roots[line][roots[line] != piece][0])
+        joined.radii[other] = max(joined.radii[other], joined.radii[piece])
+        for values in (joined.areas, joined.walls, joined.edges):
+            values[other] += values[piece]
+        parent[parent == piece] = other
+    parent[~joined.are_places(config)[parent]] = 0
     parent[0] = 0
     return parent
 
@@ -126,10 +170,10 @@ def partition_free_space(
 ) -> Partition:
     """Split free space at its passages.
 
-    Pieces too small to be in (`RegionConfig.least_area`, `least_radius`) join the neighbour they
-    open to most widely; those that open to none keep label 0: speckles behind windows, rays
-    that leaked. All other free cells get a label, and so do small free-standing objects: they
-    stand in a region.
+    Pieces that are no place of their own (`Pieces.are_places`) join the neighbour they open to most
+    widely; those that open to none keep label 0: speckles behind windows. So do slits
+    (`narrowest`) further than half a metre from any region: rays that leaked. All other free cells
+    get a label, and so do small free-standing objects: they stand in a region.
 
     Args:
         free: (H, W) free cells.
@@ -138,11 +182,13 @@ def partition_free_space(
         config: the sections `gateways` and `regions`.
     """
     gateways = config.gateways
-    space = fill_islands(free, config.regions.largest_object / resolution)
+    filled = fill_islands(free, config.regions.largest_object / resolution)
+    space = drop_slits(filled, config.regions.narrowest / resolution)
     outlines = trace_outlines(space, max(1.0, _WALL_NOISE / resolution))
+    wall_near = near_wall(is_wall, resolution)
     lines = find_virtual_lines(
         space, outlines, gateways.longest / resolution, gateways.slide / resolution,
-        np.radians(gateways.post_turn_deg), near_wall(is_wall, resolution),
+        np.radians(gateways.post_turn_deg), wall_near,
     )  # fmt: skip
     passages = select_passages(space, lines, resolution, gateways)
     refined = [refine_posts(space, e, gateways.thickest_wall / resolution) for e in passages.ends]
@@ -154,13 +200,13 @@ def partition_free_space(
         draw_wall(walls, a[0], a[1], b[0], b[1])
     count, labels = cv2.connectedComponents(walls.astype(np.uint8), connectivity=4)
     sides = _side_labels(labels, posts)
-    areas = np.bincount(labels.ravel(), minlength=count).astype(float) * resolution**2
-    radii = _largest_clearance(labels, clearance_of(walls), count).astype(float) * resolution
+    table = _measure(labels, clearance_of(walls), space, wall_near, count)
+    pieces = Pieces(table[0] * resolution**2, table[1] * resolution, table[2], table[3])
     widths = np.linalg.norm(posts[:, 1] - posts[:, 0], axis=1)
-    merged = _merge_small(sides, widths, areas, radii, config)
+    merged = _join_pieces(sides, widths, pieces, config.regions)
 
     labels = np.ascontiguousarray(merged[labels].astype(np.int32))
-    _flood(labels, np.ascontiguousarray(space))
+    _flood(labels, np.ascontiguousarray(filled), int(np.ceil(_CREVICE / resolution)))
     sides = merged[sides]
     real = (sides[:, 0] != sides[:, 1]) & (sides > 0).all(axis=1)
     labels, renamed, count = _renumber(labels)
