@@ -93,18 +93,26 @@ def no_return_reach(scans: Sequence[LaserScan], share: float) -> float:
     return float(np.quantile(ranges, share)) if len(ranges) else 0.0
 
 
+def _mountings(scans: Sequence[LaserScan], wTb: FloatArray) -> FloatArray:
+    """Pose wTl (n, 3) of the laser at every scan."""
+    return compose(wTb, np.array([s.bTl for s in scans], float).reshape(-1, 3))
+
+
 def _beams(
-    scan: LaserScan, wTb: FloatArray, reach: float
+    scans: Sequence[LaserScan], wTl: FloatArray, reach: float
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Origin (2,), ends (n, 2) in w, and hit flags of the beams of one scan that say something."""
-    wTl = compose(wTb, scan.bTl)
-    ranges = scan.ranges
+    """Origins and ends (n, 2) in w, and hit flags, of the beams of scans that say something."""
+    counts = [len(s.ranges) for s in scans]
+    ranges = np.concatenate([s.ranges for s in scans])
+    headings = np.concatenate([s.angles for s in scans]) + np.repeat(wTl[:, 2], counts)
+    origins = np.repeat(wTl[:, :2], counts, axis=0)
     hit = np.isfinite(ranges)
     known = hit | np.isposinf(ranges)
-    lengths = np.where(hit, ranges, reach)[known]
-    directions = scan.angles[known] + wTl[2]
-    ends = wTl[:2] + lengths[:, None] * np.stack([np.cos(directions), np.sin(directions)], axis=1)
-    return wTl[:2], ends, hit[known]
+    lengths, headings = np.where(hit, ranges, reach)[known], headings[known]
+    ends = np.empty((len(lengths), 2))
+    ends[:, 0] = origins[known, 0] + lengths * np.cos(headings)
+    ends[:, 1] = origins[known, 1] + lengths * np.sin(headings)
+    return origins[known], ends, hit[known]
 
 
 def _extent(
@@ -118,11 +126,14 @@ def _extent(
     """
     lower, upper = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
     if len(hit_points):
-        inner_low = np.quantile(hit_points, 1.0 - share, axis=0)
-        inner_high = np.quantile(hit_points, share, axis=0)
+        sample = hit_points[:: max(1, len(hit_points) // 100_000)]
+        inner_low, inner_high = np.quantile(sample, [1.0 - share, share], axis=0)
         slack = 0.25 * (inner_high - inner_low) + margin
-        lower = np.minimum(lower, np.maximum(hit_points.min(axis=0), inner_low - slack))
-        upper = np.maximum(upper, np.minimum(hit_points.max(axis=0), inner_high + slack))
+        # Column by column: NumPy reduces the long axis of a narrow array slowly.
+        least = np.array([hit_points[:, k].min() for k in range(2)])
+        most = np.array([hit_points[:, k].max() for k in range(2)])
+        lower = np.minimum(lower, np.maximum(least, inner_low - slack))
+        upper = np.maximum(upper, np.minimum(most, inner_high + slack))
     return lower - margin, upper + margin
 
 
@@ -164,30 +175,31 @@ def build_occupancy_grid(
     if len(scans) == 0 or wTb.shape != (len(scans), 3):
         raise MapError(f"{len(scans)} scans and poses of shape {wTb.shape} make no occupancy grid")
     usable = np.flatnonzero(np.isfinite(wTb).all(axis=1)).tolist()
-    if len(usable) == 0:
+    if not usable:
         raise MapError("no scan has a finite pose")
+    scans, wTb = [scans[i] for i in usable], wTb[usable]
     reach = no_return_reach(scans, config.no_return_quantile)
-    beams = [_beams(scans[i], wTb[i], reach) for i in usable]
+    wTl = _mountings(scans, wTb)
+    chunks = [slice(k, k + _SCANS_PER_REPORT) for k in range(0, len(scans), _SCANS_PER_REPORT)]
+    beams = [_beams(scans[c], wTl[c], reach) for c in chunks]
     hit_points = np.concatenate([ends[hit] for _, ends, hit in beams])
-    lower, upper = _extent(wTb[usable], hit_points, 2 * config.resolution, config.extent_quantile)
+    lower, upper = _extent(wTb, hit_points, 2 * config.resolution, config.extent_quantile)
     origin = np.floor(lower / config.resolution) * config.resolution
     shape = _allocate(origin, upper, config)
     hits, passes = np.zeros(shape, np.uint32), np.zeros(shape, np.uint32)
-    for first in range(0, len(beams), _SCANS_PER_REPORT):
-        chunk = beams[first : first + _SCANS_PER_REPORT]
-        origins = np.concatenate([np.broadcast_to(o, e.shape) for o, e, _ in chunk])
-        ends = np.concatenate([e for _, e, _ in chunk])
-        cast_beams(
-            hits,
-            passes,
-            (origins - origin) / config.resolution,
-            (ends - origin) / config.resolution,
-            np.concatenate([h for _, _, h in chunk]),
-            max(config.end_uncertainty / config.resolution, 0.5),
-        )
+    shy = max(config.end_uncertainty / config.resolution, 0.5)
+    for chunk, (origins, ends, hit) in zip(chunks, beams, strict=True):
+        origins -= origin
+        origins /= config.resolution
+        ends -= origin
+        ends /= config.resolution
+        cast_beams(hits, passes, origins, ends, hit, shy)
         if progress:
-            progress("occupancy_grid", min(first + len(chunk), len(beams)), len(beams))
-    outside = np.mean((hit_points < origin).any(axis=1) | (hit_points > upper).any(axis=1))
+            progress("occupancy_grid", min(chunk.stop, len(scans)), len(scans))
+    inside = np.ones(len(hit_points), bool)
+    for k in range(2):
+        inside &= (hit_points[:, k] >= origin[k]) & (hit_points[:, k] <= upper[k])
+    outside = 1.0 - inside.mean() if len(inside) else 0.0
     if outside > 0.0:
         log.info("%.2f %% of the end points are stray and lie outside the grid", 100.0 * outside)
     return OccupancyGrid(occupancy_of(hits, passes, config.hit_weight), config.resolution, origin)
