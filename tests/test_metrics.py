@@ -587,7 +587,7 @@ def test_evaluates_a_perfect_map_laid_elsewhere(tmp_path: Path, truth: Truth) ->
     assert against["keyframes"]["nees_mean"] < 1e-6
     assert scores["counts"]["gateways"] == 1
     table = dict(evaluate_map(folder, truth=tmp_path / "truth.json").rows())
-    assert table["gateways found"].startswith("1 of 1, 0 missed")
+    assert table["gateways found"] == "1 of 1, 0 false"
 
 
 def test_relations_need_the_trajectory_only(tmp_path: Path, truth: Truth) -> None:

@@ -309,8 +309,8 @@ def _nees_text(n: Nees | str) -> str:
     if isinstance(n, str):
         return f"not known: {n}"
     return (
-        f"{n.mean:.2f} (expected {n.dimension}, 95 % band {n.band[0]:.2f}-{n.band[1]:.2f}); "
-        f"{100 * n.inside:.0f} % inside their 95 % region"
+        f"{n.mean:.2f}, expected {n.band[0]:.2f}-{n.band[1]:.2f}; "
+        f"{100 * n.inside:.0f} % in their 95 % region"
     )
 
 
@@ -318,23 +318,24 @@ def _region_rows(errors: TruthErrors) -> Iterator[Row]:
     regions = errors.regions
     yield (
         "regions found",
-        f"{regions.found} of {errors.true_regions} ({regions.regions} in the map), mean IoU "
-        f"{regions.mean_iou:.3f}, {regions.class_right} of {len(regions.pairs)} classes right",
+        f"{regions.found} of {errors.true_regions}, {regions.regions} in the map, "
+        f"mean IoU {regions.mean_iou:.3f}",
     )
+    yield "region classes right", f"{regions.class_right} of {len(regions.pairs)}"
 
 
 def _gateway_rows(errors: TruthErrors) -> Iterator[Row]:
-    gateways = errors.gateways
-    missed = f" ({', '.join(gateways.missed)})" if gateways.missed else ""
+    gateways, crossings = errors.gateways, errors.crossings
     yield (
         "gateways found",
-        f"{gateways.found} of {errors.true_gateways}, {len(gateways.missed)} missed{missed}, "
-        f"{len(gateways.false)} false, {gateways.class_right} of {gateways.found} classes right",
+        f"{gateways.found} of {errors.true_gateways}, {len(gateways.false)} false",
     )
+    if gateways.missed:
+        yield "gateways missed", ", ".join(gateways.missed)
+    yield "gateway classes right", f"{gateways.class_right} of {gateways.found}"
     width, posts = _mean(np.abs(gateways.width_error)), _mean(gateways.post_error)
     if width is not None and posts is not None:
         yield "gateway errors", f"width {100 * width:.1f} cm, posts {100 * posts:.1f} cm (mean)"
-    crossings = errors.crossings
     yield "crossings found", f"{crossings.found} of {crossings.true}, {crossings.false} false"
 
 
