@@ -34,7 +34,9 @@ OCCUPIED_PIXEL, FREE_PIXEL, UNKNOWN_PIXEL = 0, 254, 205
 #: must not be rounded up, or the unknown would read back as free.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 
-SEGMENTATION_FILES = frozenset({"regions.png", "rgmap.json", "map.png"})
+#: In an image without a YAML file only white is free (pixel 250 and above: map_server writes 254,
+#: others 255). What is light grey there is furniture or something nobody has seen.
+_WHITE_THRESHOLD = 5.5 / 255.0
 
 _YAML_SUFFIXES = (".yaml", ".yml")
 
@@ -67,8 +69,8 @@ class _MapServerYaml(BaseModel):
 def read_grid(path: Path | str, resolution: float | None = None) -> OccupancyGrid:
     """Read an occupancy grid: a PNG or PGM image, or the YAML file of map_server.
 
-    A bare image is read with map_server's defaults (bright = free, dark = occupied, trinary) and
-    its lower left corner lies in the world's origin.
+    In a bare image white is free, dark is occupied and what is grey is unknown; its lower left
+    corner lies in the world's origin.
 
     Args:
         path: the image or the YAML file. The image that a YAML file names must lie in its folder.
@@ -90,7 +92,13 @@ def read_grid(path: Path | str, resolution: float | None = None) -> OccupancyGri
     elif resolution is None:
         raise MapError(f"{path}: an image has no resolution; give it in metres per cell")
     else:
-        settings = _MapServerYaml(image=path.name, resolution=resolution, origin=(0.0, 0.0, 0.0))
+        settings = _MapServerYaml(
+            image=path.name,
+            resolution=resolution,
+            origin=(0.0, 0.0, 0.0),
+            occupied_thresh=OCCUPIED_THRESHOLD,
+            free_thresh=_WHITE_THRESHOLD,
+        )
         image_path = path
     occupancy = _probabilities(_read_image(image_path), settings)
     return OccupancyGrid(
