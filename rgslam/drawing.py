@@ -306,14 +306,14 @@ def _painted(mask: npt.NDArray[np.bool_], colour: str) -> npt.NDArray[np.uint8]:
 
 
 def _draw_regions(ax: Any, regions: Sequence[Region], colours: dict[int, str]) -> None:
-    for region in regions:
+    # Large ones first: a booth that stands in a hall must not disappear under it.
+    for region in sorted(regions, key=lambda region: (-region.area, region.id)):
         colour = colours[region.id]
         strong = darker(colour)
         ax.add_patch(Polygon(region.polygon, facecolor=colour, edgecolor="none", zorder=2))
         for outline in region.objects_2d:
-            ax.add_patch(
-                Polygon(outline, facecolor=strong, edgecolor=strong, alpha=0.45, zorder=3.5)
-            )
+            # Not filled: an outline may go around free space and other regions.
+            ax.add_patch(Polygon(outline, fill=False, edgecolor=strong, linewidth=1.2, zorder=3.5))
         segments = [line.endpoints for line in region.line_segments]
         ax.add_collection(
             LineCollection(segments, colors=strong, linewidths=2.2, capstyle="round", zorder=5),

@@ -75,7 +75,9 @@ def map_figure(rg_map: RGMap) -> Figure:
 def _region_traces(rg_map: RGMap) -> list[Figure]:
     colours = region_colours(rg_map.regions, rg_map.gateways)
     traces: list[Figure] = []
-    for number, region in enumerate(rg_map.regions):
+    # Large ones first: what stands in a hall is drawn, and found by the mouse, above it.
+    ordered = sorted(rg_map.regions, key=lambda region: (-region.area, region.id))
+    for number, region in enumerate(ordered):
         colour = colours[region.id]
         closed = np.vstack([region.polygon, region.polygon[:1]])
         traces.append(
