@@ -76,7 +76,8 @@ def region_colours(regions: Sequence[Region], gateways: Sequence[Gateway]) -> di
 def _neighbours(regions: Sequence[Region], gateways: Sequence[Gateway]) -> dict[int, set[int]]:
     neighbours: dict[int, set[int]] = {region.id: set() for region in regions}
     pairs = [gateway.regions for gateway in gateways]
-    shapes = [shapely.LinearRing(region.polygon) for region in regions]
+    # Areas, not outlines: a room within a hall is its neighbour though the outlines are far apart.
+    shapes = [shapely.make_valid(shapely.Polygon(region.polygon)) for region in regions]
     if shapes:
         close = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=_WALL)
         pairs += [(regions[a].id, regions[b].id) for a, b in close.T]

@@ -123,7 +123,9 @@ def test_a_region_within_another_is_drawn_above_it(rg_map: RGMap) -> None:
         rg_map.regions[1], id=9, polygon=rg_map.regions[1].polygon * 0.3 + [1.5, 3.0], area=1.0
     )
     nested = dataclasses.replace(rg_map, regions=(booth, *rg_map.regions))
-    colour = region_colours(nested.regions, nested.gateways)[9]
+    colours = region_colours(nested.regions, nested.gateways)
+    colour = colours[9]
+    assert colour != colours[2]
     assert pixels_of(decode(draw_map(nested)), colour) > 5_000
 
 
