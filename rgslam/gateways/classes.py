@@ -17,45 +17,38 @@ BoolArray = npt.NDArray[np.bool_]
 _ARM_LENGTH = 2.5
 
 
-def count_arms(
-    free: BoolArray, clearance: npt.NDArray[np.float32], posts: FloatArray
-) -> tuple[int, bool]:
+def count_arms(free: BoolArray, posts: FloatArray) -> tuple[int, bool]:
     """Hallway arms that meet beside a gateway, and whether two of them lead straight on.
 
-    The junction's centre is the place with most clearance within a width of the gateway, on either
-    side. Its arms are the groups of directions in which the view is long.
+    Looked at from places on the way through, up to a width before and behind: the junction's
+    centre is where most arms are seen. An arm is a group of directions in which the view is long.
 
     Args:
         free: (H, W) free cells, doors closed.
-        clearance: (H, W), cells.
         posts: (2, 2), x, y in cells.
     """
     width = float(np.linalg.norm(posts[1] - posts[0]))
     direction = (posts[1] - posts[0]) / width
     normal = np.array([-direction[1], direction[0]])
-    offsets = np.arange(-width, width + 0.5, 0.5)
-    line = posts.mean(axis=0) + offsets[:, None] * normal
-    cells = np.floor(line).astype(int)
-    ok = ((cells >= 0) & (cells < free.shape[::-1])).all(axis=1)
-    line, cells = line[ok], cells[ok]
-    centre = line[int(np.argmax(clearance[cells[:, 1], cells[:, 0]]))]
-    angles = np.radians(np.arange(0.0, 360.0, 5.0))
-    reach = _ARM_LENGTH * width
-    long = np.array(
-        [
-            ray_length(free, centre[0], centre[1], np.cos(a), np.sin(a), reach + 1.0) >= reach
-            for a in angles
-        ]
-    )
+    best = (0, False)
+    for offset in np.linspace(-1.0, 1.0, 9):
+        x, y = posts.mean(axis=0) + offset * width * normal
+        middles = _arm_directions(free, float(x), float(y), _ARM_LENGTH * width)
+        apart = np.abs(np.angle(np.exp(1j * (middles[:, None] - middles))))
+        best = max(best, (len(middles), bool(apart.max(initial=0.0) > np.radians(150.0))))
+    return best
+
+
+def _arm_directions(free: BoolArray, x: float, y: float, reach: float) -> FloatArray:
+    """Middle directions (n,) of the groups of directions with a free view of at least `reach`."""
+    step = np.radians(5.0)
+    angles = np.arange(0.0, 2.0 * np.pi - 1e-9, step)
+    long = np.array([ray_length(free, x, y, np.cos(a), np.sin(a), reach) >= reach for a in angles])
     starts = np.flatnonzero(long & ~np.roll(long, 1))
-    if len(starts) == 0:
-        return 0, False
-    middles = []
-    for s in starts:
-        n = int(np.argmin(np.roll(long, -s))) or len(long)
-        middles.append(angles[s] + np.radians(2.5) * (n - 1))
-    apart = np.abs(np.angle(np.exp(1j * (np.array(middles)[:, None] - np.array(middles)))))
-    return len(starts), bool(apart.max() > np.radians(150.0))
+    lengths = [int(np.argmin(np.roll(long, -s))) for s in starts]
+    return np.array(
+        [angles[s] + 0.5 * step * (n - 1) for s, n in zip(starts, lengths, strict=True)]
+    )
 
 
 def gateway_class(

@@ -116,6 +116,18 @@ def _clearance_beyond(
 
 
 @nb.njit(cache=True)
+def _same_frame(lines: FloatArray, ends: FloatArray, apart: float) -> bool:
+    """Whether both ends lie near the two ends of one of the lines (m, 2, 2)."""
+    for line in lines:
+        for k in range(2):
+            d0 = np.hypot(line[k, 0] - ends[0, 0], line[k, 1] - ends[0, 1])
+            d1 = np.hypot(line[1 - k, 0] - ends[1, 0], line[1 - k, 1] - ends[1, 1])
+            if d0 <= apart and d1 <= apart:
+                return True
+    return False
+
+
+@nb.njit(cache=True)
 def _select(
     free: BoolArray,
     clearance: npt.NDArray[np.float32],
@@ -127,14 +139,25 @@ def _select(
     mean_narrowing: float,
     widening: float,
     hallway_length: float,
+    before: FloatArray,
+    apart: float,
 ) -> IntArray:
-    """Indices of accepted lines; every one is drawn into `free` as a wall."""
+    """Indices of accepted lines; every one is drawn into `free` as a wall.
+
+    `before` (m, 2, 2) are lines accepted earlier; a line with both ends within `apart` of the ends
+    of an accepted one crosses the same door frame once more.
+    """
     accepted = [0]
     accepted.clear()
+    lines = np.empty((len(before) + len(ends), 2, 2))
+    lines[: len(before)] = before
+    count = len(before)
     far = _FAR * cells_per_metre
     for i in range(len(ends)):
         x0, y0, x1, y1 = ends[i, 0, 0], ends[i, 0, 1], ends[i, 1, 0], ends[i, 1, 1]
         if not is_free_segment(free, x0, y0, x1, y1):
+            continue
+        if _same_frame(lines[:count], ends[i], apart):
             continue
         length = np.hypot(x1 - x0, y1 - y0)
         nx, ny = -(y1 - y0) / length, (x1 - x0) / length
@@ -156,6 +179,8 @@ def _select(
         if good:
             draw_wall(free, x0, y0, x1, y1)
             accepted.append(i)
+            lines[count] = ends[i]
+            count += 1
     return np.array(accepted)
 
 
@@ -194,11 +219,13 @@ def select_passages(
     keep = _aligned(lines, config.door_leaf / resolution, np.radians(config.alignment_deg))
     ends = np.ascontiguousarray(lines.ends[keep])
     walls = np.array(free, bool, order="C")
-    found = []
+    found: list[IntArray] = []
     for necks in (True, False):
+        before = ends[found[0]] if found else ends[:0]
         indices = _select(
             walls, clearance_of(walls), ends, necks, 1.0 / resolution, config.free_depth,
             config.narrowing, config.mean_narrowing, config.widening, config.hallway_length,
+            before, config.thickest_wall / resolution,
         )  # fmt: skip
         found.append(indices.astype(np.int64))
     order = np.concatenate(found)

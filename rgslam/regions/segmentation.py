@@ -12,7 +12,7 @@ import numpy.typing as npt
 from rgslam.config import Config
 from rgslam.errors import MapError
 from rgslam.gateways.classes import count_arms, gateway_class
-from rgslam.gateways.passages import clearance_of, draw_wall
+from rgslam.gateways.passages import draw_wall
 from rgslam.gateways.posts import post_covariance
 from rgslam.occupancy_grid import grid_from_image
 from rgslam.regions.description import RegionView, describe_region, mean_clearances, region_boxes
@@ -172,18 +172,16 @@ def _classified(
         for g in gateways
         if all(regions[r - 1].label is RegionClass.HALLWAY for r in g.regions)
     ]
-    closed, clearance = np.array(partition.labels > 0, order="C"), None
-    if junctions:
-        for g in gateways:
-            if g.id not in junctions:
-                a, b = _cells(g.points, grid)
-                draw_wall(closed, a[0], a[1], b[0], b[1])
-        clearance = clearance_of(closed)
+    closed = np.array(partition.labels > 0, order="C")
+    for g in gateways:
+        if junctions and g.id not in junctions:
+            a, b = _cells(g.points, grid)
+            draw_wall(closed, a[0], a[1], b[0], b[1])
     found = []
     for g, is_neck in zip(gateways, necks, strict=True):
         arms, straight = 0, False
-        if clearance is not None and g.id in junctions:
-            arms, straight = count_arms(closed, clearance, _cells(g.points, grid))
+        if g.id in junctions:
+            arms, straight = count_arms(closed, _cells(g.points, grid))
         classes = (regions[g.regions[0] - 1].label, regions[g.regions[1] - 1].label)
         label = gateway_class(g.width, is_neck, classes, arms, straight, config.gateways)
         found.append(replace(g, label=label))

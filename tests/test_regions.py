@@ -1,0 +1,254 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Regions: right on clean floors, the same at any angle, and nothing where there is nothing."""
+
+import os
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import shapely
+from floors import label_at, moved, office, raster
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from rgslam import segment_grid
+from rgslam.config import Config, RegionConfig
+from rgslam.errors import MapError
+from rgslam.geometry import inverse, transform_points
+from rgslam.outlines import signed_area, trace_outlines
+from rgslam.types import OccupancyGrid, RegionClass
+
+DATA = Path(os.environ.get("RGSLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture(scope="module")
+def office_map():
+    rooms, doors, widths = office()
+    grid = raster(rooms + doors, 0.05)
+    return grid, segment_grid(grid), rooms, widths
+
+
+def test_every_room_is_one_region(office_map):
+    grid, found, rooms, _ = office_map
+    labels = [label_at(found, grid, np.array(r.centroid.coords[0])) for r in rooms]
+    assert sorted(labels) == [r.id for r in found.regions] == list(range(1, len(rooms) + 1))
+    for room, label in zip(rooms, labels, strict=True):
+        inside = shapely.box(*room.bounds).buffer(-0.05)
+        x0, y0, x1, y1 = inside.bounds
+        points = np.random.default_rng(1).uniform([x0, y0], [x1, y1], (200, 2))
+        assert {label_at(found, grid, p) for p in points} == {label}
+
+
+def test_description_of_a_room(office_map):
+    grid, found, rooms, _ = office_map
+    room = found.regions[label_at(found, grid, np.array(rooms[2].centroid.coords[0])) - 1]
+    cell = grid.resolution
+    # 2.8 m x 4 m and half of either threshold, to half a cell along the outline.
+    assert room.area == pytest.approx(2.8 * 4.0 + (0.9 + 0.9) * 0.1, abs=13.6 * cell / 2)
+    assert room.label is RegionClass.ROOM
+    assert signed_area(room.polygon) > 0
+    g_polygon = transform_points(inverse(room.wTg), room.polygon)
+    np.testing.assert_allclose(g_polygon.min(axis=0), room.bbox[0], atol=1e-9)
+    np.testing.assert_allclose(g_polygon.max(axis=0), room.bbox[1], atol=1e-9)
+    np.testing.assert_allclose(room.bbox.sum(axis=0), 0.0, atol=1e-9)
+    assert room.main_axes.shape == (2, 2)
+    assert abs(room.main_axes[0] @ [0, 1]) == pytest.approx(1.0, abs=1e-3)  # the longer walls
+    assert len(room.line_segments) == 6  # four walls, two of them broken by a door
+    assert all(0.0 < s.sigma < cell for s in room.line_segments)
+    assert room.completeness == 1.0
+    assert room.accuracy_m < cell / 2
+    assert room.gateways == tuple(g.id for g in found.gateways if room.id in g.regions)
+
+
+def test_hallway_and_hall_have_their_class(office_map):
+    grid, found, rooms, _ = office_map
+    label = {k: found.regions[label_at(found, grid, np.array(rooms[k].centroid.coords[0])) - 1]
+             for k in (0, 5)}  # fmt: skip
+    assert label[0].label is RegionClass.HALLWAY
+    assert len(label[0].gateways) == 5
+    assert abs(label[0].main_axes[0, 0]) == pytest.approx(1.0, abs=1e-3)
+    assert label[5].label is RegionClass.ROOM
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    angle=st.floats(-np.pi, np.pi),
+    mirror=st.booleans(),
+    resolution=st.sampled_from([0.03, 0.05, 0.08, 0.1]),
+)
+@example(angle=np.pi / 4, mirror=True, resolution=0.1)
+@example(angle=0.3, mirror=False, resolution=0.02)
+def test_rotation_mirror_and_scale_change_nothing(angle, mirror, resolution):
+    rooms, doors, widths = office()
+    grid = raster(rooms + doors, resolution, angle, mirror)
+    found = segment_grid(grid)
+    centres = [moved(r.centroid, angle, mirror).coords[0] for r in rooms]
+    labels = [label_at(found, grid, np.array(c)) for c in centres]
+    assert sorted(labels) == [r.id for r in found.regions] == list(range(1, 7))
+    assert len(found.gateways) == len(widths)
+    middles = np.array([moved(d.centroid, angle, mirror).coords[0] for d in doors])
+    for middle, width in zip(middles, widths, strict=True):
+        gateway = min(found.gateways, key=lambda g: np.hypot(*(g.crossing_point - middle)))
+        assert gateway.width == pytest.approx(width, abs=2 * resolution)
+        assert np.hypot(*(gateway.crossing_point - middle)) < 2 * resolution
+
+
+def test_main_axes_follow_the_walls_at_any_angle():
+    rooms, doors, _ = office()
+    for angle in (0.0, 0.35, 1.1, -0.7):
+        grid = raster(rooms + doors, 0.05, angle)
+        found = segment_grid(grid)
+        hallway = next(r for r in found.regions if r.label is RegionClass.HALLWAY)
+        axis = np.array([np.cos(angle), np.sin(angle)])
+        # A wall of 12 m rastered at 5 cm: direction good to a cell over its length, thrice that.
+        cross = axis[0] * hallway.main_axes[0, 1] - axis[1] * hallway.main_axes[0, 0]
+        assert abs(cross) < 0.0125
+
+
+def test_chairs_and_tables_divide_nothing():
+    rooms, doors, _ = office()
+    plain = raster(rooms + doors, 0.05)
+    occupancy = plain.occupancy.copy()
+    rng = np.random.default_rng(4)
+    for room in rooms:
+        x0, y0, x1, y1 = room.bounds
+        for x, y in rng.uniform([x0 + 0.3, y0 + 0.3], [x1 - 0.3, y1 - 0.3], (12, 2)):
+            row, col = plain.cells(np.array([[x, y]]))[0]
+            occupancy[row : row + 2, col : col + 2] = 1.0
+    found = segment_grid(OccupancyGrid(occupancy, 0.05, plain.origin))
+    assert len(found.regions) == 6
+    assert len(found.gateways) == 6
+    assert sum(len(r.objects_2d) for r in found.regions) > 36  # some of the 72 touch each other
+    assert (found.labels[occupancy < 0.5] > 0).all()
+
+
+def test_leaks_and_views_into_the_unknown_make_no_rooms():
+    rooms, doors, _ = office()
+    grid = raster(rooms + doors, 0.05)
+    occupancy = grid.occupancy.copy()
+    # Unknown beyond the walls, a window in the upper wall of each room, rays that fan out of it.
+    wall = cv2.dilate((occupancy < 0.5).astype(np.uint8), np.ones((5, 5))) > 0
+    occupancy[~wall] = np.nan
+    top = int((6.2 - grid.origin[1]) / 0.05)
+    tall = np.full((160, occupancy.shape[1]), np.nan, np.float32)
+    occupancy = np.vstack([occupancy, tall])
+    for k in range(4):
+        start = np.array([3.0 * k + 1.4, 6.0])
+        for degrees in np.arange(70.0, 110.0, 2.0):
+            ray = np.arange(0.0, 6.0, 0.02)[:, None] * np.array(
+                [np.cos(np.radians(degrees)), np.sin(np.radians(degrees))]
+            )
+            cells = grid.cells(start + ray)
+            ok = (cells[:, 0] < len(occupancy)) & (cells[:, 1] < occupancy.shape[1])
+            occupancy[cells[ok, 0], cells[ok, 1]] = 0.0
+    found = segment_grid(OccupancyGrid(occupancy, 0.05, grid.origin))
+    assert len(found.regions) == 6
+    assert len(found.gateways) == 6
+    assert (found.labels[top + 60 :] == 0).mean() > 0.9
+
+
+def test_half_seen_room_stays_a_region_and_says_how_complete_it_is():
+    rooms, doors, _ = office()
+    grid = raster(rooms + doors, 0.05)
+    occupancy = grid.occupancy.copy()
+    rows = grid.cells(np.array([[0.0, 4.0]]))[0][0]
+    left, right = (grid.cells(np.array([[x, 0.0]]))[0][1] for x in (8.9, 12.1))
+    occupancy[rows:, left:right] = np.nan  # the last room, only its lower half was seen
+    found = segment_grid(OccupancyGrid(occupancy, 0.05, grid.origin))
+    assert len(found.regions) == 6
+    room = found.regions[label_at(found, grid, np.array([10.0, 3.0])) - 1]
+    # Seen: two sides of 1.8 m and 2.8 m less the door of 1.2 m; not seen: the line of 2.8 m.
+    assert room.completeness == pytest.approx(5.2 / 8.0, abs=0.06)
+
+
+def test_image_and_grid_agree():
+    rooms, doors, _ = office()
+    grid = raster(rooms + doors, 0.05)
+    image = np.where(grid.occupancy < 0.5, 254, 0).astype(np.uint8)[::-1]
+    a, b = segment_grid(grid), segment_grid(image, 0.05)
+    assert (a.labels == b.labels).all()
+    for g, h in zip(a.gateways, b.gateways, strict=True):
+        np.testing.assert_allclose(g.points, h.points + grid.origin, atol=1e-9)
+
+
+def test_same_input_same_result():
+    rooms, doors, _ = office()
+    grid = raster(rooms + doors, 0.05, 0.4)
+    a, b = segment_grid(grid), segment_grid(grid)
+    assert a.labels.tobytes() == b.labels.tobytes()
+    for g, h in zip(a.gateways, b.gateways, strict=True):
+        assert (g.points == h.points).all()
+    for r, s in zip(a.regions, b.regions, strict=True):
+        assert r.polygon.tobytes() == s.polygon.tobytes()
+
+
+def test_nothing_free_gives_nothing_and_says_so():
+    for occupancy in (np.ones((20, 30)), np.full((20, 30), np.nan), np.eye(9) * -1 + 1):
+        found = segment_grid(OccupancyGrid(occupancy.astype(np.float32), 0.05, np.zeros(2)))
+        assert found.regions == ()
+        assert found.gateways == ()
+        assert not found.labels.any()
+        assert "no free space" in found.warnings[0]
+
+
+def test_one_open_field_is_one_region():
+    found = segment_grid(OccupancyGrid(np.zeros((80, 90), np.float32), 0.1, np.zeros(2)))
+    assert len(found.regions) <= 1  # bounded by the unknown all round
+    walled = np.pad(np.zeros((80, 90), np.float32), 2, constant_values=1.0)
+    found = segment_grid(OccupancyGrid(walled, 0.1, np.zeros(2)))
+    assert [r.label for r in found.regions] == [RegionClass.OPEN_SPACE]
+    assert found.gateways == ()
+
+
+def test_bad_input_is_named():
+    image = np.full((40, 40), 255, np.uint8)
+    with pytest.raises(MapError, match="resolution"):
+        segment_grid(image)
+    grid = OccupancyGrid(np.zeros((40, 40), np.float32), 0.05, np.zeros(2))
+    with pytest.raises(MapError, match=r"0\.05 m per cell, not 0\.1"):
+        segment_grid(grid, 0.1)
+
+
+def test_config_decides_what_a_region_is():
+    rooms, doors, _ = office()
+    grid = raster(rooms + doors, 0.05)
+    config = Config(regions=RegionConfig(least_area=24.0))  # two rooms together have 22 m^2
+    assert len(segment_grid(grid, config=config).regions) == 2
+
+
+def test_outlines_are_exact():
+    cells = np.zeros((6, 7), bool)
+    cells[1:5, 1:6] = True
+    cells[2:4, 3] = False
+    cells[0, 0] = True  # touches at a corner only: its own outline
+    polygons = trace_outlines(cells, 0.0).polygons()
+    assert sorted(signed_area(p) for p in polygons) == [-2.0, 1.0, 20.0]
+    assert sum(signed_area(p) for p in polygons) == cells.sum()
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("suffix", ["", "_furnitures"])
+def test_public_floor_plans(suffix):
+    plans = DATA / "floorplans"
+    if not plans.is_dir():
+        pytest.skip(f"the floor plans are not at {plans} (set RGSLAM_DATA)")
+    sys.path.insert(0, str(plans))
+    try:
+        import score_regions
+    finally:
+        sys.path.remove(str(plans))
+    rows = []
+    for truth in sorted(plans.glob("*_gt_segmentation.png")):
+        name = truth.name.removesuffix("_gt_segmentation.png")
+        image = cv2.imread(str(plans / f"{name}{suffix}.png"), cv2.IMREAD_GRAYSCALE)
+        labels = segment_grid(image, 0.05).labels[::-1].astype(np.int64)
+        score = score_regions.score(labels, score_regions.load_gt(str(truth)))
+        rows.append([score[k] for k in ("recall", "precision", "f1_50")])
+    recall, precision, f1 = np.mean(rows, axis=0)
+    assert len(rows) == 10
+    assert recall > 0.9
+    assert precision > 0.9
+    assert f1 > 0.8
