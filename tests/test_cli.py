@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import signal
@@ -186,3 +187,63 @@ def test_progress_shows_stage_rate_and_count() -> None:
     assert "100/100" in shown
     assert "scans/s" in shown
     assert "loop closing" in shown
+
+
+# --- The whole way, over the recording of a short demo --------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a demo that ends early: `map/`, `recording.clf`, `truth.json`."""
+    from rgslam.demo import run_demo
+
+    folder = tmp_path_factory.mktemp("cli") / "demo"
+    run_demo(folder, duration=30.0)
+    return folder
+
+
+def test_map_then_evaluate_then_segment(tmp_path: Path, short_run: Path) -> None:
+    mapped = rgslam("map", short_run / "recording.clf", "--out", tmp_path / "map")
+    assert mapped.returncode == 0, mapped.stderr
+    for words in ("regions", "gateways", "loops accepted", "loops rejected", "matching"):
+        assert words in mapped.stdout
+    truth = ["--truth", short_run / "truth.json"]
+    table = rgslam("evaluate", tmp_path / "map", *truth)
+    assert table.returncode == 0, table.stderr
+    assert "absolute error" in table.stdout
+    scores = json.loads(rgslam("evaluate", tmp_path / "map", *truth, "--json").stdout)
+    # The laser has 1 cm of noise per beam and some hundred beams per scan see walls.
+    assert scores["truth"]["trajectory"]["ate"]["rmse_m"] < 0.05
+    segmented = rgslam("segment", tmp_path / "map" / "map.yaml", "--out", tmp_path / "plan")
+    assert segmented.returncode == 0, segmented.stderr
+    assert {path.name for path in (tmp_path / "plan").iterdir()} >= {"regions.png", "rgmap.json"}
+
+
+def test_interrupt_maps_what_has_been_read(tmp_path: Path, short_run: Path) -> None:
+    # Ctrl-C from within, at a known record, as if someone had pressed it.
+    code = """
+import os, signal, sys
+import rgslam.cli
+from rgslam.loaders.carmen import CarmenRecording
+
+read = CarmenRecording.messages
+
+def interrupted(self, progress=None):
+    for message in read(self, progress):
+        if message.record == 200:
+            os.kill(os.getpid(), signal.SIGINT)
+        yield message
+
+CarmenRecording.messages = interrupted
+sys.argv[0] = "rgslam"
+rgslam.cli.main()
+"""
+    arguments = ["map", str(short_run / "recording.clf"), "--out", str(tmp_path / "map")]
+    command = [sys.executable, "-c", code, *arguments]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 130, result.stderr
+    assert "partial" in result.stderr
+    assert json.loads((tmp_path / "map" / "run.json").read_text())["partial"] is True
+    poses = (tmp_path / "map" / "trajectory.txt").read_text().splitlines()
+    whole = (short_run / "map" / "trajectory.txt").read_text().splitlines()
+    assert 0 < len(poses) < len(whole)
