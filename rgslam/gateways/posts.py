@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numba as nb
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +14,15 @@ from rgslam.gateways.virtual_lines import ray_length
 from rgslam.types import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Posts:
+    """The posts of one passage, in cells."""
+
+    points: FloatArray  # (2, 2), x, y
+    scatter: FloatArray  # (2, 2), per post: standard deviation along and across the line
+    cut: FloatArray  # (2, 2), ends of the line as it reaches the walls right there, without a gap
 
 
 @nb.njit(cache=True)
@@ -64,10 +75,8 @@ def _jamb(
     return reach[0], reach[1], closed, offsets[:n], rays[:n]
 
 
-def refine_posts(
-    free: BoolArray, ends: FloatArray, thickest: float
-) -> tuple[FloatArray, FloatArray]:
-    """Posts (2, 2) of a passage, in cells, and their scatter (2, 2): along and across the line.
+def refine_posts(free: BoolArray, ends: FloatArray, thickest: float) -> Posts:
+    """Posts of a passage.
 
     In a door frame the line moves to the middle of the jamb: which of its two edges the shortest
     chord came from is chance. The width is the median over the jamb's depth.
@@ -83,16 +92,21 @@ def refine_posts(
     normal = np.array([-direction[1], direction[0]])
     plus, minus, closed, offsets, rays = _jamb(np.ascontiguousarray(free), ends, thickest, 2.0)
     if len(offsets) == 0:
-        return ends.copy(), np.zeros((2, 2))
+        return Posts(ends.copy(), np.zeros((2, 2)), ends.copy())
     in_frame = closed and plus + minus <= thickest
     shift = 0.5 * (plus - minus) if in_frame else 0.0
     near = np.abs(offsets - shift) <= (max(plus, minus) if in_frame else 2.0)
-    rays = rays[near] if near.any() else rays
     middle = ends.mean(axis=0) + shift * normal
-    along = np.median(rays, axis=0)
-    posts = np.stack([middle - along[0] * direction, middle + along[1] * direction])
+    used = rays[near] if near.any() else rays
+    along = np.median(used, axis=0)
+    points = np.stack([middle - along[0] * direction, middle + along[1] * direction])
     across = (plus + minus) / np.sqrt(12.0) if in_frame else 0.0
-    return posts, np.stack([rays.std(axis=0), np.full(2, across)], axis=1)
+    scatter = np.stack([used.std(axis=0), np.full(2, across)], axis=1)
+    # The median may end short of the wall, in a recess of the jamb; the cut must not.
+    k = int(np.argmin(np.abs(offsets - shift)))
+    base = ends.mean(axis=0) + offsets[k] * normal
+    cut = np.stack([base - rays[k, 0] * direction, base + rays[k, 1] * direction])
+    return Posts(points, scatter, cut)
 
 
 def post_covariance(posts: FloatArray, scatter: FloatArray, resolution: float) -> FloatArray:

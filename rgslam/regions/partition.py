@@ -192,11 +192,11 @@ def partition_free_space(
     )  # fmt: skip
     passages = select_passages(space, lines, resolution, gateways)
     refined = [refine_posts(space, e, gateways.thickest_wall / resolution) for e in passages.ends]
-    posts = np.array([r[0] for r in refined]).reshape(-1, 2, 2)
-    scatter = np.array([r[1] for r in refined]).reshape(-1, 2, 2)
+    posts = np.array([r.points for r in refined]).reshape(-1, 2, 2)
+    scatter = np.array([r.scatter for r in refined]).reshape(-1, 2, 2)
 
     walls = np.array(space, order="C")
-    for a, b in posts:
+    for a, b in (r.cut for r in refined):
         draw_wall(walls, a[0], a[1], b[0], b[1])
     count, labels = cv2.connectedComponents(walls.astype(np.uint8), connectivity=4)
     sides = _side_labels(labels, posts)
