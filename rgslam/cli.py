@@ -134,17 +134,20 @@ def map_recording(
     Example:
       rgslam map intel.clf.bz2 --out out/intel
     """
-    from rgslam.cli_output import StageProgress, print_map_summary
     from rgslam.config import Config
-    from rgslam.interrupt import StopOnInterrupt
     from rgslam.loaders import open_recording
+
+    # What is wrong with the input is said before the heavy libraries are loaded.
+    settings = Config() if config is None else Config.from_yaml(config)
+    run = open_recording(recording)
+
+    from rgslam.cli_output import StageProgress, print_map_summary
+    from rgslam.interrupt import StopOnInterrupt
     from rgslam.map_folder import check_replaceable
     from rgslam.pipeline import build_map
     from rgslam.rg_map import MAP_FILES
 
-    settings = Config() if config is None else Config.from_yaml(config)
     check_replaceable(out, MAP_FILES)
-    run = open_recording(recording)
     with StopOnInterrupt() as interrupt:
         with StageProgress() as progress:
             rg_map = build_map(run, settings, progress=progress.update, stop=interrupt.requested)

@@ -192,8 +192,8 @@ def _times(tally: _Tally) -> list[Finding]:
         findings.append(
             _warning(
                 f"stamps go back {len(back)} time(s), first in record "
-                f"{tally.records[back[0] + 1]}, farthest {-spans[worst]:.3f} s in record {tally.records[worst + 1]}; "
-                "the order of the file is kept"
+                f"{tally.records[back[0] + 1]}, farthest {-spans[worst]:.3f} s in record "
+                f"{tally.records[worst + 1]}; the order of the file is kept"
             )
         )
     repeated = np.flatnonzero(spans == 0.0)
