@@ -29,6 +29,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 # How far the free space beside a line is looked at: the reach of a person's step out of a door, m.
 _SIDE_DEPTH = 1.2
+_FRAME_END = 1.15  # width over that of the line at which the door frame has ended
 _FAR = 10.0  # m; beyond it "wider" makes no difference to any ratio used here
 _HALLWAY_TOLERANCE = 1.3  # a hallway's clearance over that of its mouth (niches, door recesses)
 
@@ -66,22 +67,32 @@ def _side(
     ny: float,
     length: float,
     depth: float,
+    jamb: float,
     far: float,
 ) -> tuple[float, float]:
-    """Median free width and depth on the side (nx, ny) of a line with midpoint (x, y)."""
-    widths = np.empty(int(depth) + 1)
+    """Median free width and depth on the side (nx, ny) of a line with midpoint (x, y).
+
+    The width is looked at over `depth`, beginning where the door frame ends: where it is wider than
+    the line, or after `jamb` at the latest.
+    """
+    widths = np.empty(int(depth + jamb) + 1)
     count = 0
-    for k in range(1, int(depth) + 1):
+    in_frame = True
+    for k in range(1, int(depth + jamb) + 1):
         px, py = x + k * nx, y + k * ny
         row, col = int(np.floor(py)), int(np.floor(px))
         if row < 0 or col < 0 or row >= free.shape[0] or col >= free.shape[1]:
             break
         if not free[row, col]:
             break
-        widths[count] = ray_length(free, px, py, -ny, nx, far) + ray_length(
-            free, px, py, ny, -nx, far
-        )
+        width = ray_length(free, px, py, -ny, nx, far) + ray_length(free, px, py, ny, -nx, far)
+        if in_frame and (width > _FRAME_END * length or k > jamb):
+            in_frame = False
+            count = 0
+        widths[count] = width
         count += 1
+        if not in_frame and count >= depth:
+            break
     if count == 0:
         return 0.0, 0.0
     reach = 0.0
@@ -140,11 +151,11 @@ def _select(
     widening: float,
     hallway_length: float,
     before: FloatArray,
-    apart: float,
+    jamb: float,
 ) -> IntArray:
     """Indices of accepted lines; every one is drawn into `free` as a wall.
 
-    `before` (m, 2, 2) are lines accepted earlier; a line with both ends within `apart` of the ends
+    `before` (m, 2, 2) are lines accepted earlier; a line with both ends within `jamb` of the ends
     of an accepted one crosses the same door frame once more.
     """
     accepted = [0]
@@ -157,14 +168,14 @@ def _select(
         x0, y0, x1, y1 = ends[i, 0, 0], ends[i, 0, 1], ends[i, 1, 0], ends[i, 1, 1]
         if not is_free_segment(free, x0, y0, x1, y1):
             continue
-        if _same_frame(lines[:count], ends[i], apart):
+        if _same_frame(lines[:count], ends[i], jamb):
             continue
         length = np.hypot(x1 - x0, y1 - y0)
         nx, ny = -(y1 - y0) / length, (x1 - x0) / length
         x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
         depth = max(_SIDE_DEPTH * cells_per_metre, 0.75 * length)
-        width_a, depth_a = _side(free, x, y, nx, ny, length, depth, far)
-        width_b, depth_b = _side(free, x, y, -nx, -ny, length, depth, far)
+        width_a, depth_a = _side(free, x, y, nx, ny, length, depth, jamb, far)
+        width_b, depth_b = _side(free, x, y, -nx, -ny, length, depth, jamb, far)
         if min(depth_a, depth_b) < free_depth * cells_per_metre or min(width_a, width_b) <= 0.0:
             continue
         if necks:
