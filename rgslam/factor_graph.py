@@ -30,42 +30,52 @@ class PoseGraph:
             loop_kernel: sigmas at which the influence of a loop starts to fade (Cauchy kernel).
         """
         self.edges: list[PoseEdge] = []
-        self._loop_kernel = loop_kernel
-        self._graph = gtsam.NonlinearFactorGraph()
+        self._kernel_width = loop_kernel
+        self._loop_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(loop_kernel)
+        self._robust, self._convex = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
         gauge = gtsam.noiseModel.Isotropic.Sigma(3, _GAUGE_SIGMA)
-        self._graph.add(gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), gauge))
+        for graph in (self._robust, self._convex):
+            graph.add(gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), gauge))
 
     def add(self, edges: Iterable[PoseEdge]) -> None:
         """Add measured relative poses; loops get a robust kernel."""
         for edge in edges:
-            noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+            noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+            iTj = gtsam.Pose2(*edge.iTj)
+            self._convex.add(gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), iTj, noise))
             if edge.kind is EdgeKind.LOOP:
-                kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self._loop_kernel)
-                noise = gtsam.noiseModel.Robust.Create(kernel, noise)
-            self._graph.add(
-                gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), gtsam.Pose2(*edge.iTj), noise)
-            )
+                noise = gtsam.noiseModel.Robust.Create(self._loop_kernel, noise)
+            self._robust.add(gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), iTj, noise))
             self.edges.append(edge)
 
     def without(self, edges: Iterable[PoseEdge]) -> PoseGraph:
         """A new graph that lacks some edges."""
         gone = {id(edge) for edge in edges}
-        graph = PoseGraph(self._loop_kernel)
+        graph = PoseGraph(self._kernel_width)
         graph.add(edge for edge in self.edges if id(edge) not in gone)
         return graph
 
-    def optimise(self, initial: FloatArray) -> FloatArray:
-        """Most likely poses (K, 3), by Levenberg-Marquardt from `initial` (K, 3)."""
+    def optimise(self, initial: FloatArray, convex_start: bool = False) -> FloatArray:
+        """Most likely poses (K, 3), by Levenberg-Marquardt.
+
+        Args:
+            initial: (K, 3), poses to start from.
+            convex_start: solve without robust kernels first. A loop that is far off at the start
+                would otherwise never get the influence to pull the trajectory to it; this is the
+                first step of graduated non-convexity, and the loops are consistent already.
+        """
         parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setRelativeErrorTol(1e-6)
-        parameters.setMaxIterations(50)
-        optimiser = gtsam.LevenbergMarquardtOptimizer(self._graph, _values(initial), parameters)
-        result = optimiser.optimize()
-        return np.array([_row(result.atPose2(X(k))) for k in range(len(initial))])
+        parameters.setRelativeErrorTol(1e-5)
+        parameters.setMaxIterations(30)
+        values = _values(initial)
+        if convex_start:
+            values = gtsam.LevenbergMarquardtOptimizer(self._convex, values, parameters).optimize()
+        values = gtsam.LevenbergMarquardtOptimizer(self._robust, values, parameters).optimize()
+        return np.array([_row(values.atPose2(X(k))) for k in range(len(initial))])
 
     def covariances(self, poses: FloatArray) -> FloatArray:
         """Marginal covariances (K, 3, 3) at `poses`, each in the keyframe's own frame: x, y, theta."""
-        marginals = gtsam.Marginals(self._graph, _values(poses))
+        marginals = gtsam.Marginals(self._robust, _values(poses))
         return np.array([marginals.marginalCovariance(X(k)) for k in range(len(poses))])
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgslam.config import ScanMatchingConfig
+from rgslam.geometry import between, compose
 from rgslam.scan_matching import (
     Registration,
     ScanPoints,
@@ -31,6 +32,23 @@ _RESIDUAL_TO_SIGMA = 1.5
 #: Mean likelihood that one sigma away from the prediction costs: half a percent of the points,
 #: enough to hold still along a featureless hallway, too little to overrule what the laser sees.
 _PRIOR_COST = 0.005
+#: Sigmas off at which the prediction is taken to be wrong rather than noisy, and costs no more: an
+#: eighth of the points must then fit better. Look-alike pieces of a hallway differ by less.
+_PRIOR_SIGMAS = 5.0
+#: Sigmas off up to which a prediction is as good as it claims.
+_PLAUSIBLE_SIGMAS = 3.0
+
+
+#: Share of points by which another place must fit better before the wheels are not believed.
+_CLEARLY_BETTER = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A predicted motion of the robot between two scans."""
+
+    bTc: FloatArray  # (3,)
+    covariance: FloatArray  # (3, 3), at its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +58,8 @@ class LocalMatch:
     wTb: FloatArray  # (3,)
     information: FloatArray  # (3, 3), of the laser alone, at wTb
     inliers: float  # share of the surface points that found a partner
-    residual: float  # m
     trusted: bool  # False: too few points agree, wTb is the prediction
+    doubt: float  # factor by which the covariance of the prediction was too small, at least 1
 
 
 class LocalMap:
@@ -57,22 +75,73 @@ class LocalMap:
     def rebuild(self, poses: FloatArray) -> None:
         """Take the newest keyframes at these poses (K, 3), after a new one or an optimisation."""
         first = max(0, len(poses) - self._config.local_keyframes)
-        points, normals = self._store.in_world(np.arange(first, len(poses)), poses[first:])
-        self._surfels = build_surfel_map(points, normals, self._config.resolution)
+        recent = self._store.in_world(np.arange(first, len(poses)), poses[first:])
+        self._surfels = build_surfel_map(*recent, self._config.resolution)
 
-    def match(self, scan: ScanPoints, prediction: FloatArray, covariance: FloatArray) -> LocalMatch:
-        """Align a scan, starting from a predicted pose with its covariance (3, 3)."""
-        match = self._align(scan, prediction, covariance, widen=1.0)
-        if match.inliers < self._config.min_inliers:
-            # The wheels slipped or the prediction was poor: look farther before giving up
-            wider = self._align(scan, prediction, covariance, widen=4.0)
-            match = wider if wider.inliers > match.inliers else match
-        if match.inliers >= self._config.min_inliers:
-            self._learn_noise(match.residual)
-            return LocalMatch(match.wTb, match.information, match.inliers, match.residual, True)
-        return LocalMatch(
-            np.asarray(prediction), np.zeros((3, 3)), match.inliers, match.residual, False
-        )
+    def match(
+        self, scan: ScanPoints, start: FloatArray, odometry: Motion, habit: Motion
+    ) -> LocalMatch:
+        """Align a scan.
+
+        Odometry is asked first. Where it leads to a place that does not fit (wheels that slip, that
+        count backwards or report late, all seen in public logs), the motion of the step before is
+        tried as well.
+
+        Args:
+            scan: its points.
+            start: (3,), wTb of the scan before.
+            odometry: what the wheels say of the motion since.
+            habit: the motion if the robot went on as before.
+
+        Returns:
+            The aligned pose, or the predicted one when too little of the scan is known here.
+        """
+        prediction = compose(start, odometry.bTc)
+        best = self._align(scan, start, odometry)
+        if best.inliers < self._config.doubtful_inliers:
+            other = self._align(scan, start, habit)
+            best = other if other.inliers > best.inliers + _CLEARLY_BETTER else best
+        if best.inliers < self._config.min_inliers:
+            return LocalMatch(prediction, np.zeros((3, 3)), best.inliers, False, 1.0)
+        self._learn_noise(best.residual)
+        doubt = _doubt(between(prediction, best.wTb), odometry.covariance)
+        return LocalMatch(best.wTb, best.information, best.inliers, True, doubt)
+
+    def _align(self, scan: ScanPoints, start: FloatArray, motion: Motion) -> Registration:
+        """Basin by correlation, then least squares."""
+        prediction = compose(start, motion.bTc)
+        coarse = self._correlate(scan, prediction, motion)
+        doubt = _doubt(between(prediction, coarse), motion.covariance)
+        return register(
+            *scan.surface, coarse, self._known(), self.sigma,
+            gate_schedule(4.0 * self._config.resolution, self.sigma),
+            prediction, np.linalg.inv(motion.covariance * doubt),
+        )  # fmt: skip
+
+    def _correlate(self, scan: ScanPoints, prediction: FloatArray, motion: Motion) -> FloatArray:
+        """The basin: (3,), wTb to a cell."""
+        sigma_xy = float(np.sqrt(motion.covariance[0, 0] + motion.covariance[1, 1]))
+        sigma_theta = float(np.sqrt(motion.covariance[2, 2]))
+        cell = self._config.resolution
+        # Wheels may slip or count backwards: as far behind as odometry goes ahead is looked at too
+        way = float(np.hypot(motion.bTc[0], motion.bTc[1]))
+        return correlate(
+            self._known(),
+            thinned(scan.valid, 2.0 * cell),
+            prediction,
+            half_width=max(3.0 * sigma_xy, 2.0 * way) + cell,
+            half_angle=3.0 * sigma_theta,
+            prior_weight=(
+                _PRIOR_COST / sigma_xy**2,
+                _PRIOR_COST / sigma_theta**2,
+                _PRIOR_COST * _PRIOR_SIGMAS**2,
+            ),
+        ).wTb
+
+    def _known(self) -> SurfelMap:
+        if self._surfels is None:
+            raise RuntimeError("match() before the first rebuild()")
+        return self._surfels
 
     def _learn_noise(self, residual: float) -> None:
         """The noise of the scanner and of the walls is what good matches leave over."""
@@ -80,27 +149,10 @@ class LocalMap:
         if len(self._residuals) >= _NOISE_MATCHES // 4:
             self.sigma = max(_RESIDUAL_TO_SIGMA * float(np.median(self._residuals)), _LEAST_SIGMA)
 
-    def _align(
-        self, scan: ScanPoints, prediction: FloatArray, covariance: FloatArray, widen: float
-    ) -> Registration:
-        if self._surfels is None:
-            raise RuntimeError("match() before the first rebuild()")
-        sigma_xy = widen * float(np.sqrt(covariance[0, 0] + covariance[1, 1]))
-        sigma_theta = widen * float(np.sqrt(covariance[2, 2]))
-        cell = self._config.resolution
-        coarse = correlate(
-            self._surfels,
-            thinned(scan.valid, 2.0 * cell),
-            prediction,
-            half_width=max(3.0 * sigma_xy, 2.0 * cell),
-            half_angle=3.0 * sigma_theta,
-            prior_weight=(_PRIOR_COST / sigma_xy**2, _PRIOR_COST / sigma_theta**2),
-        )
-        return register(
-            *scan.surface, coarse.wTb, self._surfels, self.sigma,
-            gate_schedule(4.0 * cell, self.sigma), prediction,
-            np.linalg.inv(covariance) / widen**2,
-        )  # fmt: skip
+
+def _doubt(error: FloatArray, covariance: FloatArray) -> float:
+    """Factor by which a covariance must grow so that an error is a plausible one; at least 1."""
+    return max(1.0, float(error @ np.linalg.solve(covariance, error)) / _PLAUSIBLE_SIGMAS**2)
 
 
 def is_keyframe(lTb: FloatArray, config: ScanMatchingConfig) -> bool:

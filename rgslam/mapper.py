@@ -19,7 +19,7 @@ from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
 from rgslam.gateways import detect_crossings
 from rgslam.geometry import adjoint, between, compose, inverse
-from rgslam.local_map import LocalMap, LocalMatch, is_keyframe
+from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
@@ -116,16 +116,15 @@ class Mapper:
 
     def _add_scan(self, scan: LaserScan, oTb: FloatArray | None) -> StepResult:
         # Where the robot should be, by odometry or, without it, by the speed it had
-        motion, covariance = self._predict(scan, oTb)
-        prediction = compose(self._wTb, motion)
+        odometry, habit = self._predict(scan, oTb)
 
         # Align the scan with the newest keyframes (Gutmann & Konolige 1999, local registration)
         with self.clock.stage("matching"):
             points = self._points_of(scan)
-            match = self._match(points, prediction, covariance)
+            match = self._match(points, odometry, habit)
 
         # Remember it, and make it a keyframe when it shows something new
-        self._remember(scan, oTb, motion, match)
+        self._remember(scan, oTb, odometry, match)
         if points is None or not self._is_news(points, match):
             return StepResult(scan.stamp, self._wTb.copy(), match.trusted, None)
         number = self._add_keyframe(points, match)
@@ -144,18 +143,23 @@ class Mapper:
 
     # --- The pieces of a step ------------------------------------------------------------------
 
-    def _predict(self, scan: LaserScan, oTb: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    def _predict(self, scan: LaserScan, oTb: FloatArray | None) -> tuple[Motion, Motion]:
+        """The motion since the last scan by odometry, and by going on as before.
+
+        Without odometry both are the same.
+        """
         if self._last is None:
-            return np.zeros(3), _STANDING
+            return Motion(np.zeros(3), _STANDING), Motion(np.zeros(3), _STANDING)
         last_scan, last_oTb = self._last
-        if oTb is not None and last_oTb is not None:
-            motion = between(last_oTb, oTb)
-            return motion, odometry_covariance(motion) + _STANDING
         # Stamps may stand still or jump: a step lasts as long as usual then
         seconds = scan.stamp - last_scan.stamp
         usual = self._step_seconds if self._step_seconds > 0.0 else 0.1
         seconds = seconds if 0.0 < seconds < 5.0 * usual else usual
-        return self._velocity * (seconds / usual), constant_velocity_covariance(seconds)
+        habit = Motion(self._velocity * (seconds / usual), constant_velocity_covariance(seconds))
+        if oTb is None or last_oTb is None:
+            return habit, habit
+        motion = between(last_oTb, oTb)
+        return Motion(motion, odometry_covariance(motion) + _STANDING), habit
 
     def _points_of(self, scan: LaserScan) -> ScanPoints | None:
         """Points of the scan, or None when it comes from another scanner or sees nothing."""
@@ -169,19 +173,17 @@ class Mapper:
         points = scan_points(scan.ranges, self._geometry, self._local_map.sigma)
         return points if len(points.surface[0]) >= 3 else None
 
-    def _match(
-        self, points: ScanPoints | None, prediction: FloatArray, covariance: FloatArray
-    ) -> LocalMatch:
+    def _match(self, points: ScanPoints | None, odometry: Motion, habit: Motion) -> LocalMatch:
         if points is None or not len(self._poses):
-            return LocalMatch(prediction, np.zeros((3, 3)), 0.0, 0.0, points is not None)
-        return self._local_map.match(points, prediction, covariance)
+            prediction = compose(self._wTb, odometry.bTc)
+            return LocalMatch(prediction, np.zeros((3, 3)), 0.0, points is not None, 1.0)
+        return self._local_map.match(points, self._wTb, odometry, habit)
 
     def _remember(
-        self, scan: LaserScan, oTb: FloatArray | None, motion: FloatArray, match: LocalMatch
+        self, scan: LaserScan, oTb: FloatArray | None, odometry: Motion, match: LocalMatch
     ) -> None:
-        A = adjoint(inverse(motion))
-        _, covariance = self._predict(scan, oTb)
-        self._since_keyframe = A @ self._since_keyframe @ A.T + covariance
+        A = adjoint(inverse(odometry.bTc))
+        self._since_keyframe = A @ self._since_keyframe @ A.T + odometry.covariance * match.doubt
         self._path += float(np.hypot(*between(self._wTb, match.wTb)[:2]))
         if self._last is not None:
             self._velocity = between(self._wTb, match.wTb)
@@ -239,12 +241,16 @@ class Mapper:
         self._unsettled += bool(loops) or self._unsettled > 0
         surprise = any(loop.wide or mahalanobis(loop.edge, self._poses) > 3.0 for loop in loops)
         if surprise or self._unsettled > self.config.factor_graph.optimise_every:
-            self._optimise()
+            self._optimise(surprise)
 
-    def _optimise(self) -> None:
-        """Most likely poses; loops that the others outvote are taken back."""
+    def _optimise(self, surprise: bool) -> None:
+        """Most likely poses; loops that the others outvote are taken back.
+
+        Args:
+            surprise: a loop is far off: it must pull before the robust kernel may doubt it.
+        """
         before = self._poses
-        self._poses = self._graph.optimise(before)
+        self._poses = self._graph.optimise(before, convex_start=surprise)
         limit = self.config.factor_graph.max_loop_sigmas
         outvoted = [
             loop for loop in self._closer.accepted if mahalanobis(loop.edge, self._poses) > limit
@@ -252,7 +258,7 @@ class Mapper:
         if outvoted:
             self._graph = self._graph.without(loop.edge for loop in outvoted)
             self._closer.take_back(outvoted, self._graph.edges)
-            self._poses = self._graph.optimise(before)
+            self._poses = self._graph.optimise(before, convex_start=surprise)
         self._wTb = compose(self._poses[-1], self._track.kTb[-1])
         self._unsettled = 0
 
@@ -283,7 +289,7 @@ class Mapper:
         tell = progress or (lambda stage, done, total: None)
         with self.clock.stage("optimisation"):
             tell("optimisation", 0, 2)
-            self._optimise()
+            self._optimise(surprise=False)
             tell("optimisation", 1, 2)
             covariances = self._graph.covariances(self._poses)
             tell("optimisation", 2, 2)

@@ -147,7 +147,7 @@ def propose_loop(
     turn = float(np.clip(3.0 * sigma_theta, 0.05, config.max_turn))
     chunk_poses = between(view.poses[anchor], view.poses[chunk])
     old = build_surfel_map(*view.store.in_world(chunk, chunk_poses), config.resolution)
-    patch_points, _ = view.store.in_world(patch, between(view.poses[new], view.poses[patch]))
+    patch_points, *_ = view.store.in_world(patch, between(view.poses[new], view.poses[patch]))
     points = thinned(patch_points, 2.0 * config.resolution)
     match = correlate(
         old,

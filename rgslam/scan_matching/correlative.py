@@ -61,7 +61,8 @@ def _search(
 ) -> tuple[float, int, int, int]:
     """Best (score, turn index, row shift, column shift) on the lattice; score = floor if none is better.
 
-    penalty: score units (0..255 per point) lost per squared metre and squared radian off centre.
+    penalty: score units (0..255 per point) lost per squared metre and per squared radian off
+        centre, and the most that is lost.
     exclude: (reach in cells, reach in turns, row, col, turn) of a neighbourhood to leave out;
         reach < 0: none.
     """
@@ -80,15 +81,14 @@ def _search(
             y = centre[1] + s * points[i, 0] + c * points[i, 1]
             cells[t, i, 0] = int(np.floor((y - origin[1]) / resolution))
             cells[t, i, 1] = int(np.floor((x - origin[0]) / resolution))
-        turned = n * penalty[1] * ((t - half_turns) * turn) ** 2
+        turned = penalty[1] * ((t - half_turns) * turn) ** 2
         for br in range(blocks):
             for bc in range(blocks):
                 r0, c0 = br * big - half_cells, bc * big - half_cells
-                level = level0 if big == 16 else level1
-                bounds[(t * blocks + br) * blocks + bc] = (
-                    _score_block(level, cells[t], r0, c0)
-                    - turned
-                    - n * penalty[0] * _off_centre(r0, c0, big) * resolution**2
+                moved = penalty[0] * _off_centre(r0, c0, big) * resolution**2
+                bound = _score_block(level0 if big == 16 else level1, cells[t], r0, c0)
+                bounds[(t * blocks + br) * blocks + bc] = bound - n * min(
+                    turned + moved, penalty[2]
                 )
     best, best_t, best_r, best_c = floor, half_turns, 0, 0
     for o in np.argsort(-bounds):
@@ -97,12 +97,13 @@ def _search(
         t = o // (blocks * blocks)
         r0 = (o // blocks) % blocks * big - half_cells
         c0 = o % blocks * big - half_cells
-        turned = n * penalty[1] * ((t - half_turns) * turn) ** 2
+        turned = penalty[1] * ((t - half_turns) * turn) ** 2
         for r1 in range(r0, min(r0 + big, half_cells + 1), 4):
             for c1 in range(c0, min(c0 + big, half_cells + 1), 4):
                 if big == 16:
-                    lost = turned + n * penalty[0] * _off_centre(r1, c1, 4) * resolution**2
-                    if _score_block(level1, cells[t], r1, c1) - lost <= best:
+                    moved = penalty[0] * _off_centre(r1, c1, 4) * resolution**2
+                    bound = _score_block(level1, cells[t], r1, c1)
+                    if bound - n * min(turned + moved, penalty[2]) <= best:
                         continue
                 for r in range(r1, min(r1 + 4, half_cells + 1)):
                     for c in range(c1, min(c1 + 4, half_cells + 1)):
@@ -111,8 +112,9 @@ def _search(
                             and (r - exclude[2]) ** 2 + (c - exclude[3]) ** 2 <= exclude[0] ** 2
                         ):
                             continue
-                        lost = turned + n * penalty[0] * (r * r + c * c) * resolution**2
-                        value = _score_block(level2, cells[t], r, c) - lost
+                        moved = penalty[0] * (r * r + c * c) * resolution**2
+                        value = _score_block(level2, cells[t], r, c)
+                        value = value - n * min(turned + moved, penalty[2])
                         if value > best:
                             best, best_t, best_r, best_c = value, t, r, c
     return best, best_t, best_r, best_c
@@ -132,7 +134,7 @@ def correlate(
     centre: FloatArray,
     half_width: float,
     half_angle: float,
-    prior_weight: tuple[float, float] = (0.0, 0.0),
+    prior_weight: tuple[float, float, float] = (0.0, 0.0, 0.0),
     min_score: float = 0.0,
     rival: tuple[float, float] | None = None,
 ) -> CorrelativeMatch:
@@ -145,7 +147,8 @@ def correlate(
         half_width: m, half side of the square window.
         half_angle: rad.
         prior_weight: mean likelihood (0..1) lost per square metre and per square radian off the
-            centre: decides where the points do not, along a featureless hallway.
+            centre, and the most that is lost: decides where the points do not, along a featureless
+            hallway, and gives way where they do.
         min_score: mean likelihood below which the search may give up: the centre is returned.
         rival: (m, share): look for a second peak at least so far from the winner that scores at
             least this share of it; reported as `rival_score`, 0 where there is none.

@@ -70,6 +70,7 @@ class ScanPoints:
 
     points: FloatArray  # (n, 2), b; NaN where there is no return
     normals: FloatArray  # (n, 2), b, towards the sensor; 0 where unreliable
+    normal_variances: FloatArray  # (n,), rad^2
     classes: npt.NDArray[np.uint8]  # (n,): INVALID, POINT or SURFACE
 
     @property
@@ -98,10 +99,10 @@ def scan_points(
         Points in b.
     """
     angles = geometry.angle_min + geometry.angle_step * np.arange(geometry.beams)
-    points, normals, classes = _points_and_normals(
+    points, normals, variances, classes = _points_and_normals(
         np.asarray(ranges, np.float64), angles, geometry.bTl, geometry.full_circle, range_sigma
     )
-    return ScanPoints(points, normals, classes)
+    return ScanPoints(points, normals, variances, classes)
 
 
 #: Neighbours to each side that the normal is fitted to, and their farthest distance in metres:
@@ -112,10 +113,11 @@ _NEIGHBOURS, _SUPPORT = 6, 0.25
 @njit(cache=True)
 def _points_and_normals(
     ranges: FloatArray, angles: FloatArray, bTl: FloatArray, full_circle: bool, sigma: float
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.uint8]]:
+) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.uint8]]:
     n = len(ranges)
     points = np.full((n, 2), np.nan)
     normals = np.zeros((n, 2))
+    variances = np.zeros(n)
     classes = np.zeros(n, np.uint8)
     for i in range(n):
         if np.isfinite(ranges[i]) and ranges[i] > 0.0:
@@ -168,8 +170,9 @@ def _points_and_normals(
         if toward < 0.087 * ranges[i]:
             continue
         normals[i, 0], normals[i, 1] = nx, ny
+        variances[i] = sigma * sigma / (m * large)  # slope of a fitted line
         classes[i] = 2
-    return points, normals, classes
+    return points, normals, variances, classes
 
 
 def thinned(points: FloatArray, cell: float) -> FloatArray:
@@ -186,6 +189,7 @@ class ScanStore:
     geometry: LaserGeometry
     points: FloatArray  # (capacity, n, 2), b of each scan
     normals: FloatArray  # (capacity, n, 2)
+    normal_variances: FloatArray  # (capacity, n), rad^2
     classes: npt.NDArray[np.uint8]  # (capacity, n)
     size: int = 0
 
@@ -197,6 +201,7 @@ class ScanStore:
             geometry,
             np.empty((capacity, n, 2)),
             np.empty((capacity, n, 2)),
+            np.empty((capacity, n)),
             np.empty((capacity, n), np.uint8),
         )
 
@@ -205,19 +210,28 @@ class ScanStore:
         if self.size == len(self.points):
             self.points = _doubled(self.points)
             self.normals = _doubled(self.normals)
+            self.normal_variances = _doubled(self.normal_variances)
             self.classes = _doubled(self.classes)
         self.points[self.size] = scan.points
         self.normals[self.size] = scan.normals
+        self.normal_variances[self.size] = scan.normal_variances
         self.classes[self.size] = scan.classes
         self.size += 1
         return self.size - 1
 
     def scan(self, index: int) -> ScanPoints:
         """The points of one scan."""
-        return ScanPoints(self.points[index], self.normals[index], self.classes[index])
+        return ScanPoints(
+            self.points[index],
+            self.normals[index],
+            self.normal_variances[index],
+            self.classes[index],
+        )
 
-    def in_world(self, members: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points and normals (m, 2) of some scans in w, given their wTb (r, 3)."""
+    def in_world(
+        self, members: IntArray, poses: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Points (m, 2), normals (m, 2) and their variances (m,) of scans in w, given wTb (r, 3)."""
         c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
         p, n = self.points[members], self.normals[members]
         valid = self.classes[members] != INVALID
@@ -227,6 +241,7 @@ class ScanStore:
         return (
             np.stack([axis[valid] for axis in points], axis=-1),
             np.stack([axis[valid] for axis in normals], axis=-1),
+            self.normal_variances[members][valid],
         )
 
     @property

@@ -28,6 +28,7 @@ class SurfelMap:
 
     points: FloatArray  # (s, 2), w
     normals: FloatArray  # (s, 2), w, towards the sensor; 0 where unreliable
+    normal_variances: FloatArray  # (s,), rad^2
     nearest: npt.NDArray[np.int32]  # (H, W), index of the nearest surfel, -1 = none within reach
     levels: tuple[
         npt.NDArray[np.uint8], ...
@@ -36,12 +37,15 @@ class SurfelMap:
     origin: FloatArray  # (2,), outer corner of cell (0, 0), w
 
 
-def build_surfel_map(w_points: FloatArray, w_normals: FloatArray, resolution: float) -> SurfelMap:
+def build_surfel_map(
+    w_points: FloatArray, w_normals: FloatArray, normal_variances: FloatArray, resolution: float
+) -> SurfelMap:
     """Merge points into surfels.
 
     Args:
         w_points: (n, 2), the points.
         w_normals: (n, 2), their normals; 0 where unreliable.
+        normal_variances: (n,), rad^2, of the normals.
         resolution: m per cell; also the standard deviation of the likelihood, as a place is known
             to about a cell.
 
@@ -50,24 +54,27 @@ def build_surfel_map(w_points: FloatArray, w_normals: FloatArray, resolution: fl
     """
     low = w_points.min(axis=0) - BLOCKS[0] * resolution
     size = np.ceil((w_points.max(axis=0) - low) / resolution).astype(np.int64) + BLOCKS[0]
-    points, normals = _merge(w_points, w_normals, low, resolution, int(size[1]), int(size[0]))
+    points, normals, variances = _merge(
+        w_points, w_normals, normal_variances, low, resolution, int(size[1]), int(size[0])
+    )
     nearest, fine = _stamp(points, low, resolution, int(size[1]), int(size[0]))
     middle = _pool(fine, BLOCKS[1], 1)
     coarse = _pool(middle, BLOCKS[0] // BLOCKS[1], BLOCKS[1])
-    return SurfelMap(points, normals, nearest, (coarse, middle, fine), resolution, low)
+    return SurfelMap(points, normals, variances, nearest, (coarse, middle, fine), resolution, low)
 
 
 @njit(cache=True)
 def _merge(
     points: FloatArray,
     normals: FloatArray,
+    variances: FloatArray,
     low: FloatArray,
     resolution: float,
     rows: int,
     cols: int,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     owner = np.full((rows, cols), -1, np.int32)
-    sums = np.zeros((len(points), 5))
+    sums = np.zeros((len(points), 7))  # x, y, points, normal x, normal y, variance, normals
     count = 0
     for i in range(len(points)):
         r = int((points[i, 1] - low[1]) / resolution)
@@ -86,9 +93,12 @@ def _merge(
         sums[k, 0] += points[i, 0]
         sums[k, 1] += points[i, 1]
         sums[k, 2] += 1.0
-        sums[k, 3] += normals[i, 0]
-        sums[k, 4] += normals[i, 1]
-    means, directions = np.empty((count, 2)), np.zeros((count, 2))
+        if has_normal:
+            sums[k, 3] += normals[i, 0]
+            sums[k, 4] += normals[i, 1]
+            sums[k, 5] += variances[i]
+            sums[k, 6] += 1.0
+    means, directions, spread = np.empty((count, 2)), np.zeros((count, 2)), np.zeros(count)
     for k in range(count):
         means[k, 0] = sums[k, 0] / sums[k, 2]
         means[k, 1] = sums[k, 1] / sums[k, 2]
@@ -96,7 +106,8 @@ def _merge(
         if length > 0.5:  # normals of several scans that agree, or of one
             directions[k, 0] = sums[k, 3] / length
             directions[k, 1] = sums[k, 4] / length
-    return means, directions
+            spread[k] = sums[k, 5] / sums[k, 6] ** 2
+    return means, directions, spread
 
 
 @njit(cache=True)
@@ -183,7 +194,7 @@ def register(
     mean = guess if prior_mean is None else prior_mean
     pose, information, matched, rms, converged = _register(
         np.asarray(guess, float), b_points, b_normals, surfels.points, surfels.normals,
-        surfels.nearest, surfels.resolution, surfels.origin, sigma, gates,
+        surfels.normal_variances, surfels.nearest, surfels.resolution, surfels.origin, sigma, gates,
         np.asarray(mean, float), prior,
     )  # fmt: skip
     return Registration(pose, information, matched / max(len(b_points), 1), rms, converged)
@@ -196,14 +207,19 @@ def _normal_equations(
     normals: FloatArray,
     map_points: FloatArray,
     map_normals: FloatArray,
+    map_variances: FloatArray,
     nearest: npt.NDArray[np.int32],
     resolution: float,
     origin: FloatArray,
     sigma: float,
     gate: float,
 ) -> tuple[FloatArray, FloatArray, int, float, float]:
-    """H, b of the weighted squares for a right perturbation of the pose; matches; weights; squares."""
-    H, b = np.zeros((3, 3)), np.zeros(3)
+    """H, b of the weighted squares for a right perturbation of the pose, matches, weights, squares.
+
+    Noisy normals look like information along a wall (errors in variables): what their variance
+    adds to H on average is taken off again, so that a bare hallway stays open along its axis.
+    """
+    H, b, noise = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
     rows, cols = nearest.shape
     c, s = np.cos(pose[2]), np.sin(pose[2])
     matched, weights, squares = 0, 0.0, 0.0
@@ -239,10 +255,21 @@ def _normal_equations(
         b[0] += w * jx * e
         b[1] += w * jy * e
         b[2] += w * jt * e
+        v = w * map_variances[k]
+        kt = jy * py + jx * px  # turned by 90 degrees, the normal is (-jy, jx)
+        noise[0, 0] += v * jy * jy
+        noise[0, 1] -= v * jy * jx
+        noise[0, 2] -= v * jy * kt
+        noise[1, 1] += v * jx * jx
+        noise[1, 2] += v * jx * kt
+        noise[2, 2] += v * kt * kt
         matched += 1
         weights += w
         squares += w * e * e
+    H -= noise
     H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
+    values, vectors = np.linalg.eigh(H)
+    H = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return H, b, matched, weights, squares
 
 
@@ -253,6 +280,7 @@ def _register(
     normals: FloatArray,
     map_points: FloatArray,
     map_normals: FloatArray,
+    map_variances: FloatArray,
     nearest: npt.NDArray[np.int32],
     resolution: float,
     origin: FloatArray,
@@ -266,8 +294,8 @@ def _register(
     matched, rms, converged = 0, np.inf, False
     for iteration in range(len(gates)):
         H, b, matched, weights, squares = _normal_equations(
-            pose, points, normals, map_points, map_normals, nearest, resolution, origin, sigma,
-            gates[iteration],
+            pose, points, normals, map_points, map_normals, map_variances, nearest, resolution,
+            origin, sigma, gates[iteration],
         )  # fmt: skip
         information[:] = H / (sigma * sigma)
         if matched < 3:
