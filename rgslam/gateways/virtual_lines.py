@@ -99,8 +99,10 @@ def _slides(
     x, y, before, after = end
     reached = np.empty((2 * len(distances), 2))
     for k in range(len(distances)):
-        reached[2 * k] = _slide(points, following, x, y, after, distances[k])
-        reached[2 * k + 1] = _slide(points, previous, x, y, before, distances[k])
+        ahead = _slide(points, following, x, y, after, distances[k])
+        back = _slide(points, previous, x, y, before, distances[k])
+        reached[2 * k, 0], reached[2 * k, 1] = ahead
+        reached[2 * k + 1, 0], reached[2 * k + 1, 1] = back
     return reached
 
 
@@ -138,8 +140,9 @@ def _extension(
     chord = np.hypot(end[0] - other[0], end[1] - other[1])
     ux, uy = (end[0] - other[0]) / chord, (end[1] - other[1]) / chord
     best = -1.0
-    for point in _slides(outline, end, reaches):
-        dx, dy = point[0] - end[0], point[1] - end[1]
+    reached = _slides(outline, end, reaches)
+    for k in range(len(reached)):
+        dx, dy = reached[k, 0] - end[0], reached[k, 1] - end[1]
         length = np.hypot(dx, dy)
         if length > 0.0:
             best = max(best, (dx * ux + dy * uy) / length)
@@ -164,8 +167,10 @@ def _bin_edges(
     points: FloatArray, following: IntArray, size: float
 ) -> tuple[IntArray, IntArray, int, int]:
     """Edges by square bins: bin k of the (rows, columns) holds members[starts[k]:starts[k + 1]]."""
-    columns = int(points[:, 0].max() / size) + 1
-    rows = int(points[:, 1].max() / size) + 1
+    columns, rows = 1, 1
+    for j in range(len(points)):
+        columns = max(columns, int(points[j, 0] / size) + 1)
+        rows = max(rows, int(points[j, 1] / size) + 1)
     starts = np.zeros(rows * columns + 1, np.int64)
     members = np.empty(0, np.int64)
     for count in (True, False):  # first count the members of each bin, then write them down
@@ -183,7 +188,8 @@ def _bin_edges(
                         members[fill[cell]] = j
                         fill[cell] += 1
         if count:
-            starts = np.cumsum(starts)
+            for cell in range(1, len(starts)):
+                starts[cell] += starts[cell - 1]
             members = np.empty(starts[-1], np.int64)
     return starts, members, rows, columns
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -82,37 +83,44 @@ class EdgeTable:
 
 
 @njit(cache=True)
-def _adjoint(pose: FloatArray) -> FloatArray:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.array([[c, -s, pose[1]], [s, c, -pose[0]], [0.0, 0.0, 1.0]])
-
-
-@njit(cache=True)
-def _inverse(pose: FloatArray) -> FloatArray:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.array([-c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]])
-
-
-@njit(cache=True)
 def _propagate(
     count: int,
     source: int,
     children: IntArray,
     mothers: IntArray,
     edge: IntArray,
-    forward: FloatArray,
+    forward: npt.NDArray[np.bool_],
     poses: FloatArray,
     covariances: FloatArray,
 ) -> FloatArray:
-    result = np.full((count, 3, 3), np.inf)
-    result[source] = 0.0
+    result = np.empty((count, 3, 3))
+    for k in range(count):
+        for m in range(9):
+            result[k, m // 3, m % 3] = 0.0 if k == source else np.inf
     for k in range(len(children)):
-        e = edge[k]
+        x, y, theta = poses[edge[k], 0], poses[edge[k], 1], poses[edge[k], 2]
+        c, s = np.cos(theta), np.sin(theta)
         if forward[k]:  # the edge is mother_T_child, its covariance lives at the child
-            A = _adjoint(_inverse(poses[e]))
-            step = covariances[e]
-        else:  # the edge is child_T_mother, its covariance lives at the mother
-            A = _adjoint(poses[e])
-            step = A @ covariances[e] @ A.T
-        result[children[k]] = A @ result[mothers[k]] @ A.T + step
+            x, y, s = -c * x - s * y, s * x - c * y, -s
+        child, step = result[children[k]], covariances[edge[k]]
+        for m in range(9):
+            a, b = m // 3, m % 3
+            # A backward edge is child_T_mother, its covariance lives at the mother
+            child[a, b] = result[mothers[k], a, b] + (0.0 if forward[k] else step[a, b])
+        _carry(child, x, y, c, s)
+        for m in range(9):
+            child[m // 3, m % 3] += step[m // 3, m % 3] if forward[k] else 0.0
     return result
+
+
+@njit(cache=True)
+def _carry(covariance: FloatArray, x: float, y: float, c: float, s: float) -> None:
+    """A S A^T in place, with the adjoint A of the pose (x, y, angle of cosine c and sine s)."""
+    for k in range(3):  # rows: A S
+        a, b, t = covariance[0, k], covariance[1, k], covariance[2, k]
+        covariance[0, k] = c * a - s * b + y * t
+        covariance[1, k] = s * a + c * b - x * t
+    for k in range(3):  # columns: (A S) A^T
+        a, b, t = covariance[k, 0], covariance[k, 1], covariance[k, 2]
+        covariance[k, 0] = c * a - s * b + y * t
+        covariance[k, 1] = s * a + c * b - x * t

@@ -8,14 +8,15 @@ al. (ICRA 2016). The search is exact on its lattice: no local minimum can hide t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rgslam.scan_matching.surfel_map import SurfelMap
-from rgslam.types import FloatArray
+from rgslam.scan_matching.surfel_map import BLOCKS, SurfelMap
+from rgslam.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,63 +45,84 @@ def _score_block(
 
 
 @njit(cache=True)
-def _search(
-    level0: npt.NDArray[np.uint8],
-    level1: npt.NDArray[np.uint8],
-    level2: npt.NDArray[np.uint8],
-    resolution: float,
-    origin: FloatArray,
+def _turned_cells(
     points: FloatArray,
     centre: FloatArray,
-    half_cells: int,
     half_turns: int,
     turn: float,
-    penalty: FloatArray,
-    floor: float,
-    exclude: FloatArray,
-) -> tuple[float, int, int, int]:
-    """Best (score, turn index, row shift, column shift) on the lattice; score = floor if none is better.
-
-    penalty: score units (0..255 per point) lost per squared metre and per squared radian off
-        centre, and the most that is lost.
-    exclude: (reach in cells, reach in turns, row, col, turn) of a neighbourhood to leave out;
-        reach < 0: none.
-    """
-    n = len(points)
-    turns = 2 * half_turns + 1
-    # A window of a few cells needs no coarse level
-    big = 16 if half_cells > 12 else 4
-    blocks = (2 * half_cells) // big + 1
-    cells = np.empty((turns, n, 2), np.int32)
-    bounds = np.empty(turns * blocks * blocks)
-    for t in range(turns):
+    resolution: float,
+    origin: FloatArray,
+) -> npt.NDArray[np.int32]:
+    cells = np.empty((2 * half_turns + 1, len(points), 2), np.int32)
+    for t in range(len(cells)):
         a = centre[2] + (t - half_turns) * turn
         c, s = np.cos(a), np.sin(a)
-        for i in range(n):
+        for i in range(len(points)):
             x = centre[0] + c * points[i, 0] - s * points[i, 1]
             y = centre[1] + s * points[i, 0] + c * points[i, 1]
             cells[t, i, 0] = int(np.floor((y - origin[1]) / resolution))
             cells[t, i, 1] = int(np.floor((x - origin[0]) / resolution))
-        turned = penalty[1] * ((t - half_turns) * turn) ** 2
+    return cells
+
+
+@njit(cache=True)
+def _bounds(
+    level: npt.NDArray[np.uint8],
+    cells: npt.NDArray[np.int32],
+    half_cells: int,
+    block: int,
+    turn: float,
+    resolution: float,
+    penalty: FloatArray,
+) -> FloatArray:
+    """What a pose of each block can score at most."""
+    turns, n = cells.shape[0], cells.shape[1]
+    blocks = (2 * half_cells) // block + 1
+    bounds = np.empty(turns * blocks * blocks)
+    for t in range(turns):
+        turned = penalty[1] * ((t - turns // 2) * turn) ** 2
         for br in range(blocks):
             for bc in range(blocks):
-                r0, c0 = br * big - half_cells, bc * big - half_cells
-                moved = penalty[0] * _off_centre(r0, c0, big) * resolution**2
-                bound = _score_block(level0 if big == 16 else level1, cells[t], r0, c0)
-                bounds[(t * blocks + br) * blocks + bc] = bound - n * min(
-                    turned + moved, penalty[2]
-                )
-    best, best_t, best_r, best_c = floor, half_turns, 0, 0
-    for o in np.argsort(-bounds):
+                r0, c0 = br * block - half_cells, bc * block - half_cells
+                moved = penalty[0] * _off_centre(r0, c0, block) * resolution**2
+                best = _score_block(level, cells[t], r0, c0)
+                bounds[(t * blocks + br) * blocks + bc] = best - n * min(turned + moved, penalty[2])
+    return bounds
+
+
+@njit(cache=True)
+def _descend(
+    level1: npt.NDArray[np.uint8],
+    level2: npt.NDArray[np.uint8],
+    cells: npt.NDArray[np.int32],
+    bounds: FloatArray,
+    order: IntArray,
+    half_cells: int,
+    block: int,
+    turn: float,
+    resolution: float,
+    penalty: FloatArray,
+    floor: float,
+    exclude: FloatArray,
+) -> tuple[float, int, int, int]:
+    """Best (score, turn index, row shift, column shift); score = floor if none is better.
+
+    exclude: (reach in cells, reach in turns, row, col, turn) of a neighbourhood to leave out;
+        reach < 0: none.
+    """
+    turns, n = cells.shape[0], cells.shape[1]
+    blocks = (2 * half_cells) // block + 1
+    best, best_t, best_r, best_c = floor, turns // 2, 0, 0
+    for o in order:
         if bounds[o] <= best:
             break
         t = o // (blocks * blocks)
-        r0 = (o // blocks) % blocks * big - half_cells
-        c0 = o % blocks * big - half_cells
-        turned = penalty[1] * ((t - half_turns) * turn) ** 2
-        for r1 in range(r0, min(r0 + big, half_cells + 1), 4):
-            for c1 in range(c0, min(c0 + big, half_cells + 1), 4):
-                if big == 16:
+        r0 = (o // blocks) % blocks * block - half_cells
+        c0 = o % blocks * block - half_cells
+        turned = penalty[1] * ((t - turns // 2) * turn) ** 2
+        for r1 in range(r0, min(r0 + block, half_cells + 1), 4):
+            for c1 in range(c0, min(c0 + block, half_cells + 1), 4):
+                if block > 4:
                     moved = penalty[0] * _off_centre(r1, c1, 4) * resolution**2
                     bound = _score_block(level1, cells[t], r1, c1)
                     if bound - n * min(turned + moved, penalty[2]) <= best:
@@ -157,15 +179,13 @@ def correlate(
         The winner on the lattice.
     """
     n = 255.0 * len(b_points)
-    reach = float(np.quantile(np.hypot(b_points[:, 0], b_points[:, 1]), 0.8))
-    turn = surfels.resolution / max(reach, 1.0)
+    ranges = np.sort(np.hypot(b_points[:, 0], b_points[:, 1]))
+    # One turn moves most points by a cell at most
+    turn = surfels.resolution / max(float(ranges[int(0.8 * len(ranges))]), 1.0)
     half_cells = max(int(np.ceil(half_width / surfels.resolution)), 1)
     half_turns = max(int(np.ceil(half_angle / turn)), 1)
-    window = (*surfels.levels, surfels.resolution, surfels.origin, np.ascontiguousarray(b_points),
-              np.asarray(centre, float), half_cells, half_turns, turn,
-              np.array(prior_weight) * 255.0)  # fmt: skip
-    nowhere = np.array([-1.0, -1.0, 0.0, 0.0, 0.0])
-    value, t, row, col = _search(*window, min_score * n - 1.0, nowhere)
+    search = _search(surfels, b_points, centre, half_cells, half_turns, turn, prior_weight)
+    value, t, row, col = search(min_score * n - 1.0, (-1.0, -1.0, 0.0, 0.0, 0.0))
     shift = np.array([col, row]) * surfels.resolution
     pose = np.array(
         [centre[0] + shift[0], centre[1] + shift[1], centre[2] + (t - half_turns) * turn]
@@ -175,8 +195,35 @@ def correlate(
     rival_score = 0.0
     if rival is not None and score >= min_score:
         cells = rival[0] / surfels.resolution
-        winner = np.array([cells, cells, float(row), float(col), float(t)])
         floor = rival[1] * value
-        found = _search(*window, floor, winner)[0]
+        found = search(floor, (cells, cells, float(row), float(col), float(t)))[0]
         rival_score = found / n if found > floor else 0.0
     return CorrelativeMatch(pose, score, rival_score)
+
+
+def _search(
+    surfels: SurfelMap,
+    points: FloatArray,
+    centre: FloatArray,
+    half_cells: int,
+    half_turns: int,
+    turn: float,
+    prior_weight: tuple[float, float, float],
+) -> Callable[[float, tuple[float, ...]], tuple[float, int, int, int]]:
+    """The search of one window, to be asked for the best pose and for its rival.
+
+    Blocks are bounded once and visited in falling order of their bounds.
+    """
+    coarse, middle, fine = surfels.levels
+    block = BLOCKS[0] if half_cells > 12 else BLOCKS[1]  # a few cells need no coarse level
+    penalty = np.array(prior_weight) * 255.0
+    cells = _turned_cells(
+        np.ascontiguousarray(points), np.asarray(centre, float), half_turns, turn,
+        surfels.resolution, surfels.origin,
+    )  # fmt: skip
+    lattice = (half_cells, block, turn, surfels.resolution, penalty)
+    bounds = _bounds(coarse if block == BLOCKS[0] else middle, cells, *lattice)
+    order = np.argsort(-bounds, kind="stable")
+    return lambda floor, exclude: _descend(
+        middle, fine, cells, bounds, order, *lattice, floor, np.array(exclude)
+    )

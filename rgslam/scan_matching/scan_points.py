@@ -9,6 +9,7 @@ neighbours by its bearing (projective association) instead of by a search tree.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -73,12 +74,12 @@ class ScanPoints:
     normal_variances: FloatArray  # (n,), rad^2
     classes: npt.NDArray[np.uint8]  # (n,): INVALID, POINT or SURFACE
 
-    @property
+    @cached_property
     def valid(self) -> FloatArray:
         """The points with a position, (m, 2)."""
         return self.points[self.classes != INVALID]
 
-    @property
+    @cached_property
     def surface(self) -> tuple[FloatArray, FloatArray]:
         """Points and normals of the surface points, (m, 2) each."""
         on_surface = self.classes == SURFACE
@@ -177,8 +178,8 @@ def _points_and_normals(
 
 def thinned(points: FloatArray, cell: float) -> FloatArray:
     """The first point (m, 2) of every cell of side `cell` that holds one of (n, 2)."""
-    keys = np.floor(points / cell).astype(np.int64)
-    _, first = np.unique(keys[:, 0] * (1 << 32) + keys[:, 1], return_index=True)
+    cells = np.floor(points / cell).astype(np.int64)
+    _, first = np.unique(cells[:, 0] * (1 << 32) + cells[:, 1], return_index=True)
     return points[np.sort(first)]
 
 

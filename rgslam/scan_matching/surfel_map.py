@@ -52,12 +52,14 @@ def build_surfel_map(
     Returns:
         The map; its border of 16 empty cells keeps every bound of the search valid.
     """
-    low = w_points.min(axis=0) - BLOCKS[0] * resolution
-    size = np.ceil((w_points.max(axis=0) - low) / resolution).astype(np.int64) + BLOCKS[0]
+    x, y = w_points[:, 0], w_points[:, 1]
+    low = np.array([x.min(), y.min()]) - BLOCKS[0] * resolution
+    rows = int(np.ceil((y.max() - low[1]) / resolution)) + BLOCKS[0]
+    cols = int(np.ceil((x.max() - low[0]) / resolution)) + BLOCKS[0]
     points, normals, variances = _merge(
-        w_points, w_normals, normal_variances, low, resolution, int(size[1]), int(size[0])
+        w_points, w_normals, normal_variances, low, resolution, rows, cols
     )
-    nearest, fine = _stamp(points, low, resolution, int(size[1]), int(size[0]))
+    nearest, fine = _stamp(points, low, resolution, rows, cols)
     middle = _pool(fine, BLOCKS[1], 1)
     coarse = _pool(middle, BLOCKS[0] // BLOCKS[1], BLOCKS[1])
     return SurfelMap(points, normals, variances, nearest, (coarse, middle, fine), resolution, low)
@@ -197,6 +199,10 @@ def register(
         surfels.normal_variances, surfels.nearest, surfels.resolution, surfels.origin, sigma, gates,
         np.asarray(mean, float), prior,
     )  # fmt: skip
+    # The noise of the normals was taken off, so that a bare hallway stays open along its axis; where
+    # it exceeds what an axis is known by, the axis is not known at all
+    values, vectors = np.linalg.eigh(information)
+    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return Registration(pose, information, matched / max(len(b_points), 1), rms, converged)
 
 
@@ -213,11 +219,11 @@ def _normal_equations(
     origin: FloatArray,
     sigma: float,
     gate: float,
-) -> tuple[FloatArray, FloatArray, int, float, float]:
-    """H, b of the weighted squares for a right perturbation of the pose, matches, weights, squares.
+) -> tuple[FloatArray, FloatArray, FloatArray, int, float, float]:
+    """H, its noise, b, matches, weights, squares for a right perturbation of the pose.
 
-    Noisy normals look like information along a wall (errors in variables): what their variance
-    adds to H on average is taken off again, so that a bare hallway stays open along its axis.
+    Noisy normals look like information along a wall (errors in variables): `noise` is what their
+    variance adds to H on average.
     """
     H, b, noise = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
     rows, cols = nearest.shape
@@ -266,11 +272,31 @@ def _normal_equations(
         matched += 1
         weights += w
         squares += w * e * e
-    H -= noise
-    H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
-    values, vectors = np.linalg.eigh(H)
-    H = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return H, b, matched, weights, squares
+    for A in (H, noise):
+        A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
+    return H, noise, b, matched, weights, squares
+
+
+@njit(cache=True)
+def _solve(A: FloatArray, b: FloatArray) -> FloatArray:
+    """Solution (3,) of A x = b for a positive definite A (3, 3), by its adjugate.
+
+    Written out, as Numba takes ten seconds to compile `np.linalg.solve`.
+    """
+    c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[1, 2]
+    c01 = A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2]
+    c02 = A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
+    c11 = A[0, 0] * A[2, 2] - A[0, 2] * A[0, 2]
+    c12 = A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
+    c22 = A[0, 0] * A[1, 1] - A[0, 1] * A[0, 1]
+    det = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
+    return np.array(
+        [
+            (c00 * b[0] + c01 * b[1] + c02 * b[2]) / det,
+            (c01 * b[0] + c11 * b[1] + c12 * b[2]) / det,
+            (c02 * b[0] + c12 * b[1] + c22 * b[2]) / det,
+        ]
+    )
 
 
 @njit(cache=True)
@@ -293,11 +319,11 @@ def _register(
     information = np.zeros((3, 3))
     matched, rms, converged = 0, np.inf, False
     for iteration in range(len(gates)):
-        H, b, matched, weights, squares = _normal_equations(
+        H, noise, b, matched, weights, squares = _normal_equations(
             pose, points, normals, map_points, map_normals, map_variances, nearest, resolution,
             origin, sigma, gates[iteration],
         )  # fmt: skip
-        information[:] = H / (sigma * sigma)
+        information = (H - noise) / (sigma * sigma)
         if matched < 3:
             rms = np.inf
             break
@@ -307,7 +333,11 @@ def _register(
         dx, dy = pose[0] - prior_mean[0], pose[1] - prior_mean[1]
         turn = (pose[2] - prior_mean[2] + np.pi) % (2.0 * np.pi) - np.pi
         off = np.array([c * dx + s * dy, -s * dx + c * dy, turn])
-        step = np.linalg.solve(information + prior, -(b / (sigma * sigma) + prior @ off))
+        gradient = b / (sigma * sigma)
+        for k in range(3):
+            for m in range(3):
+                gradient[k] += prior[k, m] * off[m]
+        step = _solve(H / (sigma * sigma) + prior, -gradient)
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
         pose[2] += step[2]
