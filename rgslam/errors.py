@@ -33,3 +33,7 @@ class DatasetError(RgslamError):
 
 class WorldError(RgslamError):
     """A world to simulate is not well formed."""
+
+
+class CalibrationError(RgslamError):
+    """The calibration of a camera cannot be read or describes no camera."""
