@@ -85,12 +85,15 @@ def cast_beams(
 def no_return_reach(scans: Sequence[LaserScan], share: float) -> float:
     """Distance up to which a beam without a return may be trusted to have met nothing, m.
 
-    A missing return may also be a dark, slanted or mirroring wall, so the beam clears space only as
-    far as this sensor in this building does return echoes: a percentile of all valid ranges.
+    Where the building is larger than the sensor's reach, a missing return means free space: it is
+    cleared as far as echoes do come back, a percentile of all valid ranges. Where echoes end well
+    before the sensor does (within half its reach), a beam is lost on a dark, slanted or mirroring
+    surface, and its absence says nothing.
     """
     step = max(1, len(scans) // 2000)
     ranges = np.concatenate([s.ranges[np.isfinite(s.ranges)] for s in scans[::step]])
-    return float(np.quantile(ranges, share)) if len(ranges) else 0.0
+    reach = float(np.quantile(ranges, share)) if len(ranges) else 0.0
+    return reach if reach > 0.5 * float(np.median([s.max_range for s in scans[::step]])) else 0.0
 
 
 def _mountings(scans: Sequence[LaserScan], wTb: FloatArray) -> FloatArray:

@@ -73,17 +73,28 @@ def test_person_seen_in_few_scans_leaves_no_wall():
     assert all(at(grid, x, y) < 0.5 for x in centres for y in centres)
 
 
-def test_lost_beams_clear_no_further_than_the_sensor_returns():
+def lost_beams_ahead(max_range):
+    """A scan of a room of 4 m without returns straight ahead, and with an invalid reading."""
     scan = square_room_scan(np.zeros(3), 4.0)
     ranges = scan.ranges.copy()
-    ranges[170:191] = np.inf  # straight ahead
+    ranges[170:191] = np.inf
     ranges[10:20] = np.nan
-    holed = LaserScan(0.0, ranges, scan.angles, 80.0, np.zeros(3))
-    grid = build_occupancy_grid([holed], np.zeros((1, 3)))
+    return LaserScan(0.0, ranges, scan.angles, max_range, np.zeros(3))
+
+
+def test_lost_beams_clear_as_far_as_a_short_sensor_returns():
+    scan = lost_beams_ahead(max_range=4.0)
+    grid = build_occupancy_grid([scan], np.zeros((1, 3)))
     assert at(grid, 1.5, 0.0) < 0.5
     assert grid.occupancy.shape[1] * grid.resolution < 6.0
-    blind = holed.angles[15]
+    blind = scan.angles[15]
     assert np.isnan(at(grid, 1.5 * np.cos(blind), 1.5 * np.sin(blind)))
+
+
+def test_lost_beams_say_nothing_where_the_sensor_sees_farther_than_the_walls():
+    grid = build_occupancy_grid([lost_beams_ahead(max_range=80.0)], np.zeros((1, 3)))
+    assert np.isnan(at(grid, 1.5, 0.0))
+    assert at(grid, 0.0, 1.5) < 0.5
 
 
 def test_stray_readings_do_not_blow_up_the_grid():

@@ -15,7 +15,7 @@ from rgslam.gateways.classes import count_arms, gateway_class
 from rgslam.gateways.passages import draw_wall
 from rgslam.gateways.posts import post_covariance
 from rgslam.occupancy_grid import grid_from_image
-from rgslam.regions.description import RegionView, describe_region, mean_clearances, region_boxes
+from rgslam.regions.description import RegionView, describe_region, inner_clearances, region_boxes
 from rgslam.regions.partition import Partition, partition_free_space
 from rgslam.types import (
     FloatArray,
@@ -142,7 +142,7 @@ def _regions(
     grid: OccupancyGrid,
     config: Config,
 ) -> tuple[Region, ...]:
-    clearances = mean_clearances(partition.labels, partition.count, grid.resolution)
+    clearances = inner_clearances(partition.labels, partition.count, grid.resolution)
     regions = []
     for i, box in enumerate(region_boxes(partition.labels, partition.count)):
         # Two cells of margin: the walls around a region belong to the evidence about it.
