@@ -116,6 +116,33 @@ class RegionConfig(StageConfig):
     open_space_width: float = Field(6.0, gt=0.0)  # m, a room this wide both ways is an open space
 
 
+class StereoConfig(StageConfig):
+    """Depth from two cameras (see `rgslam.stereo`)."""
+
+    nearest: float = Field(0.35, gt=0.0)  # m, a robot's bumper keeps things farther off
+    # Share of the width; what is shifted by more is hardly in both images.
+    max_disparity: float = Field(0.25, gt=0.0, le=1.0)
+    matching_width: int = Field(384, ge=64)  # px, larger images are matched at this width
+    uniqueness_percent: int = Field(10, ge=0)  # by which the best match must beat the second
+    texture_sigmas: float = Field(3.0, ge=0.0)  # contrast in a window relative to the noise
+    sigma_px: float = Field(0.25, gt=0.0)  # px of the matched size: SGBM locks to whole pixels
+
+
+class RectangleConfig(StageConfig):
+    """Rectangles in images (see `rgslam.rectangles`)."""
+
+    # Line segments
+    min_piece_px: float = Field(6.0, ge=2.0)  # px; shorter edges have no direction to speak of
+    merge_offset_px: float = Field(1.2, gt=0.0)  # px, the detector's own error at a segment's end
+    merge_angle_deg: float = Field(8.0, gt=0.0, lt=45.0)  # between pieces of one edge
+    merge_gap: float = Field(0.3, ge=0.0)  # bridged gap relative to the longer piece
+    min_side: float = Field(0.025, gt=0.0)  # shortest side relative to the image's diagonal
+    max_lines: int = Field(250, ge=4)  # the longest; 0.2 s for four times as many
+    refine_reach_px: float = Field(3.0, ge=1.0)  # px across a line in which its edge is searched
+    edge_sigma_px: float = Field(0.07, gt=0.0)  # px by which real edges are not straight
+    edge_correlation_px: float = Field(4.0, ge=1.0)  # px along an edge that err alike
+
+
 class Config(StageConfig):
     """Everything that can be set; `Config()` is the default for all robots and buildings."""
 
@@ -125,6 +152,8 @@ class Config(StageConfig):
     occupancy_grid: OccupancyGridConfig = OccupancyGridConfig()
     gateways: GatewayConfig = GatewayConfig()
     regions: RegionConfig = RegionConfig()
+    stereo: StereoConfig = StereoConfig()
+    rectangles: RectangleConfig = RectangleConfig()
 
     @classmethod
     def from_yaml(cls, path: Path | str) -> Config:

@@ -74,7 +74,7 @@ class PoseGraph:
         return np.array([_row(values.atPose2(X(k))) for k in range(len(initial))])
 
     def covariances(self, poses: FloatArray) -> FloatArray:
-        """Marginal covariances (K, 3, 3) at `poses`, each in the keyframe's own frame: x, y, theta."""
+        """Marginal covariances (K, 3, 3) at `poses`, in each keyframe's own frame: x, y, theta."""
         marginals = gtsam.Marginals(self._robust, _values(poses))
         return np.array([marginals.marginalCovariance(X(k)) for k in range(len(poses))])
 

@@ -24,9 +24,11 @@ from rgslam.scan_matching import (
 )
 from rgslam.types import FloatArray
 
-#: m, noise across a line before anything is known; a scanner that resolves 1 cm; matches to learn from.
-_FIRST_SIGMA, _LEAST_SIGMA, _NOISE_MATCHES = 0.02, 0.005, 200
-#: The robust weights fade at 3 sigma and so hide the tails: what they leave over is less than sigma.
+#: m, noise across a line: before anything is known, and of a scanner that resolves 1 cm at least.
+_FIRST_SIGMA, _LEAST_SIGMA = 0.02, 0.005
+#: Matches that the noise is learnt from.
+_NOISE_MATCHES = 200
+#: The robust weights fade at 3 sigma and hide the tails: what they leave over is less than sigma.
 _RESIDUAL_TO_SIGMA = 1.5
 
 #: Mean likelihood that one sigma away from the prediction costs: half a percent of the points,
@@ -115,7 +117,7 @@ class LocalMap:
         return register(
             *scan.surface, coarse, self._known(), self.sigma,
             gate_schedule(4.0 * self._config.resolution, self.sigma),
-            prediction, np.linalg.inv(motion.covariance * doubt),
+            prediction, np.asarray(np.linalg.inv(motion.covariance * doubt), np.float64),
         )  # fmt: skip
 
     def _correlate(self, scan: ScanPoints, prediction: FloatArray, motion: Motion) -> FloatArray:

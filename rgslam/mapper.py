@@ -363,7 +363,7 @@ class Mapper:
                 f"{len(track.odd_geometry)} scans have other beams than the first one and are not "
                 f"matched (first: record {track.odd_geometry[0]})"
             )
-        if self._odometry.ignored:
+        if self._odometry.ignored and self._odometry.waited:
             lines.append(
                 f"{self._odometry.ignored} odometry messages whose stamp goes back are left out"
             )

@@ -15,8 +15,8 @@ from rgslam.types import FloatArray, LaserScan, Odometry
 def odometry_covariance(bTc: FloatArray) -> FloatArray:
     """Covariance (3, 3) of a motion measured by wheels, in the tangent space at its end.
 
-    The usual model of a differential drive (Thrun, Burgard, Fox, *Probabilistic Robotics*, 5.4) with
-    the generous constants of an uncalibrated robot on mixed floors: 10 % of the way, 5 % of it
+    The usual model of a differential drive (Thrun, Burgard, Fox, *Probabilistic Robotics*, 5.4)
+    with the generous constants of an uncalibrated robot on mixed floors: 10 % of the way, 5 % of it
     sideways, 10 % of the turn and 3 degrees per metre, and 5 mm and 0.3 degrees for the encoders.
     It has to hold for every robot, as the laser decides wherever it can.
     """
@@ -51,6 +51,7 @@ class OdometryBuffer:
         self._odometry: deque[Odometry] = deque()
         self._waiting: deque[LaserScan] = deque()
         self._horizon = horizon  # s, of odometry kept behind the newest, and of scans that wait
+        self.waited = 0  # scans that came without odometry of their own
         self.ignored = 0  # odometry messages whose stamp was not after the one before
 
     def add_odometry(self, odometry: Odometry) -> list[tuple[LaserScan, FloatArray | None]]:
@@ -72,6 +73,7 @@ class OdometryBuffer:
         """Take one scan; returns the scans that are ready, with their oTb or None."""
         if scan.odometry is not None:
             return [*self.flush(), (scan, np.asarray(scan.odometry, float))]
+        self.waited += 1
         self._waiting.append(scan)
         ready = []
         while scan.stamp - self._waiting[0].stamp > self._horizon:

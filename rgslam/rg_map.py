@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -131,16 +132,21 @@ class RGMap:
 
         return draw_map(self)
 
-    def save(self, folder: Path | str) -> None:
+    def save(self, folder: Path | str, extras: Mapping[str, bytes] | None = None) -> None:
         """Write the map folder, whole or not at all; an earlier map there is replaced.
+
+        Args:
+            folder: where to.
+            extras: more files (name -> content) to stand in it, such as the truth of a simulation.
 
         Raises:
             MapError: the folder holds what rgslam did not write, the machine refuses (full disk,
                 no rights), or the map is broken (values that are not finite, ids that lead
                 nowhere). What was there before is then untouched.
         """
-        check_replaceable(folder, MAP_FILES)  # before any work
-        write_folder(folder, self._files())
+        extras = extras or {}
+        check_replaceable(folder, {*MAP_FILES, *extras})  # before any work
+        write_folder(folder, {**self._files(), **extras})
 
     def _files(self) -> dict[str, bytes]:
         from rgslam.drawing import draw_map

@@ -195,7 +195,7 @@ class Region:
 
     id: int
     label: RegionClass
-    wTg: FloatArray  # (3,), pose of the region's own frame g: origin in the box's centre, x = main axis
+    wTg: FloatArray  # (3,), pose of the region's frame g: origin in the box's centre, x = main axis
     polygon: FloatArray  # (n, 2), outline, w, counter-clockwise
     bbox: FloatArray  # (2, 2), lower and upper corner in g
     main_axes: FloatArray  # (1 or 2, 2), unit vectors in w, the stronger first

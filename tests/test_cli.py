@@ -194,7 +194,7 @@ def test_progress_shows_stage_rate_and_count() -> None:
 
 @pytest.fixture(scope="module")
 def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a demo that ends early: `map/`, `recording.clf`, `truth.json`."""
+    """Folder of a demo that ends early: a map, `recording.clf`, `truth.json`."""
     from rgslam.demo import run_demo
 
     folder = tmp_path_factory.mktemp("cli") / "demo"
@@ -245,5 +245,5 @@ rgslam.cli.main()
     assert "partial" in result.stderr
     assert json.loads((tmp_path / "map" / "run.json").read_text())["partial"] is True
     poses = (tmp_path / "map" / "trajectory.txt").read_text().splitlines()
-    whole = (short_run / "map" / "trajectory.txt").read_text().splitlines()
+    whole = (short_run / "trajectory.txt").read_text().splitlines()
     assert 0 < len(poses) < len(whole)

@@ -13,7 +13,7 @@ from rgslam.demo import run_demo
 from rgslam.errors import MapError, WorldError
 from rgslam.loaders import open_recording
 from rgslam.metrics import evaluate_map
-from rgslam.rg_map import load_map
+from rgslam.rg_map import MAP_FILES, load_map
 from rgslam.truth import read_truth
 
 pipeline = pytest.importorskip("rgslam.pipeline", reason="the mapper is not built yet")
@@ -33,12 +33,12 @@ def names(folder: Path) -> list[str]:
 
 
 def test_leaves_map_recording_and_truth_and_nothing_else(demo: Path) -> None:
-    assert names(demo) == ["map", "recording.clf", "truth.json"]
+    assert set(names(demo)) == MAP_FILES | {"recording.clf", "truth.json"}
     assert names(demo.parent) == ["out"]
     scans = int(SECONDS * 10)
     assert open_recording(demo / "recording.clf").scan_count == scans
     assert len(read_truth(demo / "truth.json").trajectory.stamps) == scans
-    assert len(load_map(demo / "map").trajectory.stamps) == scans
+    assert len(load_map(demo).trajectory.stamps) == scans
 
 
 def test_scores_are_those_of_the_files(demo: Path, tmp_path: Path) -> None:
@@ -46,27 +46,25 @@ def test_scores_are_those_of_the_files(demo: Path, tmp_path: Path) -> None:
     _, evaluation = run_demo(
         tmp_path / "out", lambda stage, done, total: stages.add(stage), duration=SECONDS
     )
-    assert evaluation.folder == tmp_path / "out" / "map"
-    again = evaluate_map(tmp_path / "out" / "map", truth=tmp_path / "out" / "truth.json")
+    assert evaluation.folder == tmp_path / "out"
+    again = evaluate_map(tmp_path / "out", truth=tmp_path / "out" / "truth.json")
     assert evaluation.to_dict() == again.to_dict()
     assert "simulate scans" in stages and len(stages) > 1
     # Same seed, same map
-    other = demo / "map"
     for name in ("trajectory.txt", "rgmap.json"):
-        assert (tmp_path / "out" / "map" / name).read_bytes() == (other / name).read_bytes()
+        assert (tmp_path / "out" / name).read_bytes() == (demo / name).read_bytes()
 
 
 def test_an_earlier_demo_is_replaced(demo: Path) -> None:
     before = (demo / "recording.clf").read_bytes()
     run_demo(demo, seed=2, duration=SECONDS)
-    assert names(demo) == ["map", "recording.clf", "truth.json"]
+    assert set(names(demo)) == MAP_FILES | {"recording.clf", "truth.json"}
     assert names(demo.parent) == ["out"]
     assert (demo / "recording.clf").read_bytes() != before
 
 
-@pytest.mark.parametrize("place", [".", "map"])
-def test_what_a_user_put_there_is_kept(tmp_path: Path, place: str) -> None:
-    mine = tmp_path / "out" / place / "thesis.tex"
+def test_what_a_user_put_there_is_kept(tmp_path: Path) -> None:
+    mine = tmp_path / "out" / "thesis.tex"
     mine.parent.mkdir(parents=True)
     mine.write_text("years of work")
     with pytest.raises(MapError, match=r"thesis\.tex"):
@@ -87,6 +85,7 @@ def test_ctrl_c_leaves_what_was_there(
 ) -> None:
     if before == "demo":
         (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "rgmap.json").write_text('{"format": "rgslam/rgmap"}')
         (tmp_path / "out" / "truth.json").write_text("of the earlier demo")
 
     def stop(*args: object, **kwargs: object) -> None:

@@ -52,7 +52,7 @@ def consistent(
 
 
 def largest_consistent_set(agree: np.ndarray) -> tuple[list[int], int]:
-    """Largest clique of a symmetric boolean matrix, and the size of the best one disjoint from it."""
+    """Largest clique of a symmetric boolean matrix, and how many another one has of its own."""
     graph = nx.from_numpy_array(np.triu(agree, 1))
     cliques = sorted((sorted(c) for c in nx.find_cliques(graph)), key=lambda c: (-len(c), c))
     if not cliques:

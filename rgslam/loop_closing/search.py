@@ -190,7 +190,8 @@ def _loop_covariance(
     """Covariance of a registered loop; the old chunk is itself only known to about a cell."""
     floor = np.diag([config.resolution**2, config.resolution**2, (0.2 * config.resolution) ** 2])
     vague = np.diag([1e-2, 1e-2, 1e-2])  # 10 m, 10 rad: what no wall holds is left open
-    return np.linalg.inv(information / view.beam_correlation + vague) + floor
+    covariance = np.linalg.inv(information / view.beam_correlation + vague) + floor
+    return np.asarray(covariance, np.float64)
 
 
 def chain(edge_a: PoseEdge, edge_b: PoseEdge, poses: FloatArray) -> FloatArray:

@@ -49,7 +49,7 @@ _INNER = 0.9
 
 
 def _rectangle_width(area: float, inner_clearance: float) -> float:
-    """Shorter side w of the rectangle of that area A of whose points a share is that near a side, m.
+    """Shorter side w of the rectangle of that area A with that clearance in its inner part, m.
 
     The points farther than d from all sides make (w - 2 d) (A / w - 2 d) = (1 - share) A.
     """
@@ -67,8 +67,9 @@ def region_class(
     """Class of a region from its geometry.
 
     Width and length are those of the rectangle with the same area and the same clearance in its
-    inner part: corners, bends, rings, niches and furniture change them little. A hallway is long for its width, not wider than hallways are, and leads somewhere; an open space
-    is wide both ways.
+    inner part: corners, bends, rings, niches and furniture change them little. A hallway is long
+    for its width, not wider than hallways are, and leads somewhere; an open space is wide both
+    ways.
 
     Args:
         area: m^2.
@@ -235,7 +236,7 @@ def region_boxes(labels: LabelArray, count: int) -> IntArray:
 
 
 def inner_clearances(labels: LabelArray, count: int, resolution: float) -> FloatArray:
-    """Distance (count,) to its own boundary that nine of ten points of a region do not exceed, m."""
+    """Distance (count,) to its boundary that nine of ten points of a region do not exceed, m."""
     inner = np.zeros(count)
     for i, (r0, c0, r1, c1) in enumerate(region_boxes(labels, count)):
         inside = np.pad(labels[r0:r1, c0:c1] == i + 1, 1)

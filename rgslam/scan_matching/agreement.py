@@ -119,15 +119,14 @@ def agreement(
         reference_poses: (r, 3).
         tolerance: m, distance at which a point is still on a surface.
     """
-    return Agreement(
-        *_agreement(
-            np.asarray(wTb, float),
-            np.ascontiguousarray(b_points),
-            np.asarray(references, np.int64),
-            np.ascontiguousarray(reference_poses, float),
-            store.points,
-            store.classes,
-            store.polar,
-            tolerance,
-        )  # fmt: skip
+    counts = _agreement(
+        np.asarray(wTb, float),
+        np.ascontiguousarray(b_points),
+        np.asarray(references, np.int64),
+        np.ascontiguousarray(reference_poses, float),
+        store.points,
+        store.classes,
+        store.polar,
+        tolerance,
     )
+    return Agreement(*counts)

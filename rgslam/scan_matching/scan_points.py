@@ -232,7 +232,7 @@ class ScanStore:
     def in_world(
         self, members: IntArray, poses: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Points (m, 2), normals (m, 2) and their variances (m,) of scans in w, given wTb (r, 3)."""
+        """Points (m, 2), normals (m, 2), their variances (m,) of scans in w, given wTb (r, 3)."""
         c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
         p, n = self.points[members], self.normals[members]
         valid = self.classes[members] != INVALID
@@ -247,7 +247,7 @@ class ScanStore:
 
     @property
     def polar(self) -> FloatArray:
-        """What the kernels need of the geometry: angle_min, angle_step, circle?, bTl (x, y, theta)."""
+        """The geometry as kernels take it: angle_min, angle_step, full circle, bTl x, y, theta."""
         g = self.geometry
         return np.array([g.angle_min, g.angle_step, float(g.full_circle), *g.bTl])
 

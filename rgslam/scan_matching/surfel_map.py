@@ -199,8 +199,8 @@ def register(
         surfels.normal_variances, surfels.nearest, surfels.resolution, surfels.origin, sigma, gates,
         np.asarray(mean, float), prior,
     )  # fmt: skip
-    # The noise of the normals was taken off, so that a bare hallway stays open along its axis; where
-    # it exceeds what an axis is known by, the axis is not known at all
+    # The noise of the normals was taken off, so that a bare hallway stays open along its axis;
+    # where it exceeds what an axis is known by, the axis is not known at all
     values, vectors = np.linalg.eigh(information)
     information = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return Registration(pose, information, matched / max(len(b_points), 1), rms, converged)
@@ -243,7 +243,7 @@ def _normal_equations(
         ex, ey = qx - map_points[k, 0], qy - map_points[k, 1]
         if ex * ex + ey * ey > gate * gate:
             continue
-        # The surfel's normal in the frame of the scan; 45 degrees keep the two faces of a wall apart
+        # The surfel's normal in the scan's frame; 45 degrees keep the two faces of a wall apart
         jx, jy = c * nx + s * ny, -s * nx + c * ny
         if jx * normals[i, 0] + jy * normals[i, 1] < 0.7:
             continue
