@@ -45,13 +45,16 @@ def inverse(aTb: FloatArray) -> FloatArray:
     """bTa, shape (..., 3)."""
     aTb = np.asarray(aTb, float)
     if aTb.ndim == 1:
-        x, y, theta = aTb.tolist()
-        c, s = math.cos(theta), math.sin(theta)
-        return np.array([-c * x - s * y, s * x - c * y, _wrap_one(-theta)])
+        return _inverse_one(*aTb.tolist())
     c, s = np.cos(aTb[..., 2]), np.sin(aTb[..., 2])
     x = -c * aTb[..., 0] - s * aTb[..., 1]
     y = s * aTb[..., 0] - c * aTb[..., 1]
     return np.stack([x, y, wrap_angle(-aTb[..., 2])], axis=-1)
+
+
+def _inverse_one(x: float, y: float, theta: float) -> FloatArray:
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([-c * x - s * y, s * x - c * y, _wrap_one(-theta)])
 
 
 def between(wTa: FloatArray, wTb: FloatArray) -> FloatArray:

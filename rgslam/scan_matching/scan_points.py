@@ -108,7 +108,7 @@ def scan_points(
 
 #: Neighbours to each side that the normal is fitted to, and their farthest distance in metres:
 #: a wall is straight over that length, whatever the building.
-_NEIGHBOURS, _SUPPORT = 6, 0.25
+_NEIGHBOURS, _SUPPORT = 25, 0.25
 
 
 @njit(cache=True)

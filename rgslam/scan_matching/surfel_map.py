@@ -108,7 +108,8 @@ def _merge(
         if length > 0.5:  # normals of several scans that agree, or of one
             directions[k, 0] = sums[k, 3] / length
             directions[k, 1] = sums[k, 4] / length
-            spread[k] = sums[k, 5] / sums[k, 6] ** 2
+            # Not divided by their number: neighbours in a scan are fitted to the same points
+            spread[k] = sums[k, 5] / sums[k, 6]
     return means, directions, spread
 
 

@@ -1,0 +1,289 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Points, surfels, correlation and registration on rooms that can be worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import box_ranges, square_room_scan
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rgslam.errors import RecordingError
+from rgslam.geometry import between, compose, transform_points
+from rgslam.scan_matching import (
+    INVALID,
+    SURFACE,
+    LaserGeometry,
+    ScanPoints,
+    ScanStore,
+    SurfelMap,
+    agreement,
+    build_surfel_map,
+    correlate,
+    gate_schedule,
+    register,
+    scan_points,
+    thinned,
+)
+from rgslam.types import FloatArray, LaserScan
+
+ROOM = (5.0, 4.0)
+NOISE = 0.01  # m
+SIGMA = 0.015  # m, across a line: both scans
+SMALL = st.tuples(st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(-0.1, 0.1))
+
+
+def seen_from(pose: FloatArray, noise: float = 0.0, seed: int = 0) -> ScanPoints:
+    rng = np.random.default_rng(seed)
+    scan = square_room_scan(pose, ROOM, n_beams=361, noise=noise, rng=rng, fov=2.0 * np.pi)
+    return scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
+
+
+def surfels_of(points: ScanPoints, wTb: FloatArray, resolution: float = 0.05) -> SurfelMap:
+    c, s = np.cos(wTb[2]), np.sin(wTb[2])
+    rotation = np.array([[c, -s], [s, c]])
+    valid = points.classes != INVALID
+    return build_surfel_map(
+        transform_points(wTb, points.valid),
+        points.normals[valid] @ rotation.T,
+        points.normal_variances[valid],
+        resolution,
+    )
+
+
+def aligned(scan: ScanPoints, guess: FloatArray, surfels: SurfelMap) -> FloatArray:
+    return register(*scan.surface, guess, surfels, SIGMA, gate_schedule(0.25, SIGMA)).wTb
+
+
+# --- Points and normals ---------------------------------------------------------------------------
+
+
+def test_normals_of_a_room_point_inwards() -> None:
+    points = seen_from(np.array([0.3, -0.2, 0.4]))
+    surface, normals = points.surface
+    w_points = transform_points(np.array([0.3, -0.2, 0.4]), surface)
+    w_normals = transform_points(np.array([0.0, 0.0, 0.4]), normals)
+    on_side = np.abs(np.abs(w_points[:, 0]) - ROOM[0] / 2.0) < 1e-6
+    on_side &= np.abs(w_points[:, 1]) < ROOM[1] / 2.0 - 0.3  # corners are rounded
+    expected = np.stack([-np.sign(w_points[on_side, 0]), np.zeros(on_side.sum())], axis=-1)
+    assert on_side.sum() > 100
+    np.testing.assert_allclose(w_normals[on_side], expected, atol=1e-6)
+
+
+def test_what_is_no_return_is_no_point() -> None:
+    scan = square_room_scan(np.zeros(3), ROOM, n_beams=181)
+    ranges = scan.ranges.copy()
+    ranges[[3, 50, 90]] = [np.inf, np.nan, 0.0]
+    points = scan_points(ranges, LaserGeometry.from_scan(scan), NOISE)
+    assert (points.classes[[3, 50, 90]] == INVALID).all()
+    assert len(points.valid) == 178
+
+
+def test_the_mount_of_the_laser_counts() -> None:
+    bTl = np.array([0.2, -0.1, 0.3])
+    scan = square_room_scan(np.array([0.5, 0.5, 1.0]), ROOM, bTl=bTl)
+    points = scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
+    w_points = transform_points(np.array([0.5, 0.5, 1.0]), points.valid)
+    on_wall = np.isclose(np.abs(w_points[:, 0]), ROOM[0] / 2.0, atol=1e-9)
+    on_wall |= np.isclose(np.abs(w_points[:, 1]), ROOM[1] / 2.0, atol=1e-9)
+    assert on_wall.all()
+
+
+def test_stated_spread_of_normals_is_the_one_measured() -> None:
+    pose = np.zeros(3)
+    turns, stated = [], []
+    for seed in range(40):
+        points = seen_from(pose, NOISE, seed)
+        flat = (points.classes == SURFACE) & (np.abs(points.points[:, 1]) < 1.2)
+        turns.append(np.arctan2(points.normals[flat, 1], np.abs(points.normals[flat, 0])))
+        stated.append(points.normal_variances[flat])
+    ratio = np.var(np.concatenate(turns)) / np.mean(np.concatenate(stated))
+    assert 0.6 < ratio < 1.7
+
+
+@pytest.mark.parametrize(
+    ("angles", "message"), [([0.0, 0.1], "2 beams"), ([0.0, 0.1, 0.3, 0.4], "evenly")]
+)
+def test_odd_beams_are_an_error(angles: list[float], message: str) -> None:
+    ranges = np.ones(len(angles))
+    scan = LaserScan(0.0, ranges, np.array(angles), 30.0, np.zeros(3), record=7)
+    with pytest.raises(RecordingError, match=f"record 7.*{message}"):
+        LaserGeometry.from_scan(scan)
+
+
+def test_thinned_keeps_one_point_per_cell() -> None:
+    points = np.array([[0.01, 0.01], [0.02, 0.03], [0.11, 0.01], [-0.01, 0.01]])
+    np.testing.assert_array_equal(thinned(points, 0.1), points[[0, 2, 3]])
+
+
+# --- Surfels --------------------------------------------------------------------------------------
+
+
+def test_nearest_surfel_of_a_cell_is_the_nearest_of_all() -> None:
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1.0, 1.0, (60, 2))
+    surfels = build_surfel_map(points, np.zeros((60, 2)), np.zeros(60), 0.05)
+    rows, cols = np.nonzero(surfels.nearest >= 0)
+    centres = surfels.origin + (np.stack([cols, rows], -1) + 0.5) * 0.05
+    distances = np.linalg.norm(centres[:, None] - surfels.points[None], axis=-1)
+    found = distances[np.arange(len(centres)), surfels.nearest[rows, cols]]
+    near = distances.min(axis=1) < 0.25  # the five cells that every surfel reaches
+    np.testing.assert_allclose(found[near], distances.min(axis=1)[near], atol=1e-6)
+    assert near.sum() > 1000
+
+
+def test_two_faces_of_a_thin_wall_stay_apart() -> None:
+    x = np.linspace(0.0, 1.0, 50)
+    front = np.stack([x, np.full(50, 0.011)], -1)
+    back = np.stack([x, np.full(50, 0.039)], -1)
+    normals = np.repeat([[0.0, -1.0], [0.0, 1.0]], 50, axis=0)
+    surfels = build_surfel_map(np.vstack([front, back]), normals, np.full(100, 1e-4), 0.05)
+    np.testing.assert_allclose(np.abs(surfels.normals[:, 1]), 1.0)
+    heights = surfels.points[:, 1] - surfels.origin[1]
+    assert len(np.unique(np.round(heights, 4))) == 2
+
+
+def test_levels_bound_the_finer_ones() -> None:
+    surfels = surfels_of(seen_from(np.zeros(3)), np.zeros(3))
+    coarse, middle, fine = surfels.levels
+    for level, block in ((middle, 4), (coarse, 16)):
+        for r, c in ((0, 0), (17, 30), (40, 55)):
+            assert level[r, c] == fine[r : r + block, c : c + block].max()
+
+
+# --- Correlation ----------------------------------------------------------------------------------
+
+
+def brute_force(
+    surfels: SurfelMap, points: FloatArray, centre: FloatArray, cells: int, turns: FloatArray
+) -> float:
+    """Best mean likelihood over the same lattice, in NumPy."""
+    fine = surfels.levels[2].astype(float)
+    best = 0.0
+    for turn in turns:
+        w = transform_points(centre + [0.0, 0.0, turn], points)
+        col_row = np.floor((w - surfels.origin) / surfels.resolution).astype(int)
+        for dr in range(-cells, cells + 1):
+            for dc in range(-cells, cells + 1):
+                c, r = col_row[:, 0] + dc, col_row[:, 1] + dr
+                known = (r >= 0) & (c >= 0) & (r < fine.shape[0]) & (c < fine.shape[1])
+                best = max(best, fine[r[known], c[known]].sum() / (255.0 * len(points)))
+    return best
+
+
+@settings(max_examples=10, deadline=None)
+@given(SMALL, st.sampled_from([4, 14]))
+def test_branch_and_bound_finds_what_brute_force_finds(
+    off: tuple[float, float, float], cells: int
+) -> None:
+    surfels = surfels_of(seen_from(np.zeros(3)), np.zeros(3), 0.1)
+    points = thinned(seen_from(np.array([0.4, 0.1, 0.2])).valid, 0.3)
+    centre = compose(np.array([0.4, 0.1, 0.2]), np.array(off))
+    match = correlate(surfels, points, centre, cells * 0.1, 0.1)
+    reach = np.sort(np.hypot(*points.T))[int(0.8 * len(points))]
+    turn = 0.1 / max(reach, 1.0)
+    turns = np.arange(-np.ceil(0.1 / turn), np.ceil(0.1 / turn) + 1) * turn
+    assert match.score == pytest.approx(brute_force(surfels, points, centre, cells, turns))
+
+
+def test_a_rival_is_found_where_the_room_looks_the_same_twice() -> None:
+    room = seen_from(np.zeros(3))
+    surfels = surfels_of(room, np.zeros(3))
+    # Half a turn maps a rectangle onto itself
+    symmetric = correlate(surfels, room.valid, np.zeros(3), 0.2, np.pi, rival=(0.5, 0.9))
+    assert symmetric.rival_score > 0.9 * symmetric.score
+    unique = correlate(surfels, room.valid, np.zeros(3), 0.2, 0.5, rival=(0.5, 0.9))
+    assert unique.rival_score == 0.0
+
+
+def test_the_prior_decides_along_a_hallway_and_gives_way_to_the_laser() -> None:
+    x = np.arange(-8.0, 8.0, 0.03)
+    walls = np.vstack([np.stack([x, np.full_like(x, y)], -1) for y in (-1.0, 1.0)])
+    surfels = build_surfel_map(walls, np.zeros_like(walls), np.zeros(len(walls)), 0.05)
+    near = walls[np.abs(walls[:, 0]) < 4.0]
+    prior = (0.005 / 0.05**2, 0.005 / 0.02**2, 0.125)
+    centre = np.array([1.0, 0.12, 0.0])
+    match = correlate(surfels, near, centre, 0.5, 0.1, prior)
+    np.testing.assert_allclose(match.wTb[[0, 1]], [1.0, 0.0], atol=0.051)
+
+
+# --- Registration ---------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(SMALL)
+def test_projection_then_registration_is_identity(off: tuple[float, float, float]) -> None:
+    truth = np.array([0.3, -0.4, 0.2])
+    surfels = surfels_of(seen_from(np.zeros(3)), np.zeros(3))
+    found = aligned(seen_from(truth), compose(truth, np.array(off)), surfels)
+    error = between(truth, found)
+    # Without noise what is left is the rounding of surfels at the corners
+    assert np.hypot(error[0], error[1]) < 2e-3 and abs(error[2]) < 1e-3
+
+
+@settings(max_examples=15, deadline=None)
+@given(SMALL, st.integers(0, 1000))
+def test_match_inverts(off: tuple[float, float, float], seed: int) -> None:
+    pose = np.array(off)
+    a, b = seen_from(np.zeros(3), NOISE, seed), seen_from(pose, NOISE, seed + 1)
+    aTb = aligned(b, pose, surfels_of(a, np.zeros(3)))
+    bTa = aligned(a, between(pose, np.zeros(3)), surfels_of(b, np.zeros(3)))
+    around = compose(aTb, bTa)
+    # Two estimates from some hundred points of NOISE each
+    assert np.hypot(around[0], around[1]) < 6e-3 and abs(around[2]) < 3e-3
+
+
+def test_errors_are_as_large_as_the_information_says() -> None:
+    surfels = surfels_of(seen_from(np.zeros(3)), np.zeros(3))  # a perfect map
+    truth = np.array([0.2, 0.3, -0.1])
+    squared = []
+    for seed in range(120):
+        scan = seen_from(truth, NOISE, seed)
+        match = register(*scan.surface, truth, surfels, NOISE, gate_schedule(0.1, NOISE))
+        error = between(truth, match.wTb)
+        squared.append(error @ match.information @ error)
+    # 120 samples of chi-square with 3 degrees of freedom: mean 3, 99.7 % below 3.7. Range noise acts
+    # along the beam, which crosses a wall at 45 degrees with half the variance: 1.5 at least.
+    assert 1.3 < np.mean(squared) < 3.7
+
+
+def test_a_hallway_stays_open_along_its_axis() -> None:
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    ranges = box_ranges(np.zeros(3), angles, np.array([-90.0, -1.0]), np.array([90.0, 1.0]))
+    ranges += np.random.default_rng(0).normal(0.0, NOISE, 720)
+    ranges[ranges > 12.0] = np.inf
+    scan = LaserScan(0.0, ranges, angles, 12.0, np.zeros(3))
+    points = scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
+    surfels = surfels_of(points, np.zeros(3))
+    match = register(*points.surface, np.zeros(3), surfels, SIGMA, gate_schedule(0.1, SIGMA))
+    along, across = match.information[0, 0], match.information[1, 1]
+    # Noise of the normals alone would claim a thousandth of the information across
+    assert along < 2e-4 * across
+
+
+# --- Agreement ------------------------------------------------------------------------------------
+
+
+def test_free_space_contradicts_and_the_unseen_does_not() -> None:
+    scan = square_room_scan(np.zeros(3), ROOM, fov=np.pi)
+    geometry = LaserGeometry.from_scan(scan)
+    store = ScanStore.empty(geometry, capacity=1)
+    store.append(scan_points(scan.ranges, geometry, NOISE))
+    points = np.array(
+        [[2.5, 0.0], [2.5, 0.5], [1.0, 0.3], [1.2, -0.5], [1.5, 0.2], [4.0, 0.0], [-2.0, 0.0]]
+    )
+    verdict = agreement(points, np.zeros(3), store, np.array([0]), np.zeros((1, 3)), 0.1)
+    assert (verdict.agree, verdict.contradict, verdict.unseen) == (2, 3, 2)
+    assert verdict.ratio == 0.4 and verdict.overlap == 2 / 7
+
+
+def test_a_store_grows_and_keeps_what_it_had() -> None:
+    first, second = seen_from(np.zeros(3)), seen_from(np.array([0.5, 0.0, 0.0]))
+    geometry = LaserGeometry.from_scan(square_room_scan(np.zeros(3), fov=2.0 * np.pi))
+    store = ScanStore.empty(geometry, capacity=1)
+    assert [store.append(scan) for scan in (first, second, first)] == [0, 1, 2]
+    for index, scan in enumerate((first, second, first)):
+        np.testing.assert_array_equal(store.scan(index).points, scan.points)
+        np.testing.assert_array_equal(store.scan(index).normals, scan.normals)
