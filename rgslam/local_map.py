@@ -115,7 +115,7 @@ class LocalMap:
         coarse = self._correlate(scan, prediction, motion)
         doubt = _doubt(between(prediction, coarse), motion.covariance)
         return register(
-            *scan.surface, coarse, self._known(), self.sigma,
+            *scan.oriented, coarse, self._known(), self.sigma,
             gate_schedule(4.0 * self._config.resolution, self.sigma),
             prediction, np.asarray(np.linalg.inv(motion.covariance * doubt), np.float64),
         )  # fmt: skip

@@ -85,6 +85,11 @@ class ScanPoints:
         on_surface = self.classes == SURFACE
         return self.points[on_surface], self.normals[on_surface]
 
+    @cached_property
+    def oriented(self) -> tuple[FloatArray, FloatArray]:
+        """Points with a position and their normals (0 where unreliable), (m, 2) each."""
+        return self.valid, self.normals[self.classes != INVALID]
+
 
 def scan_points(
     ranges: npt.NDArray[np.floating], geometry: LaserGeometry, range_sigma: float

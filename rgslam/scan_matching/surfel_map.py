@@ -176,11 +176,11 @@ def register(
     prior_mean: FloatArray | None = None,
     prior_information: FloatArray | None = None,
 ) -> Registration:
-    """Align a scan with a surfel map by point-to-line least squares.
+    """Align a scan with a surfel map: surfaces point to line, edges point to point.
 
     Args:
-        b_points: (n, 2), surface points of the scan.
-        b_normals: (n, 2), their normals.
+        b_points: (n, 2), points of the scan.
+        b_normals: (n, 2), their normals; 0 where unreliable.
         guess: (3,), wTb to start from.
         surfels: the map, in w.
         sigma: m, standard deviation of a point across its line.
@@ -204,7 +204,8 @@ def register(
     # where it exceeds what an axis is known by, the axis is not known at all
     values, vectors = np.linalg.eigh(information)
     information = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return Registration(pose, information, matched / max(len(b_points), 1), rms, converged)
+    surface = np.count_nonzero(b_normals.any(axis=1))
+    return Registration(pose, information, matched / max(surface, 1), rms, converged)
 
 
 @njit(cache=True)
@@ -242,7 +243,26 @@ def _normal_equations(
             continue
         nx, ny = map_normals[k, 0], map_normals[k, 1]
         ex, ey = qx - map_points[k, 0], qy - map_points[k, 1]
-        if ex * ex + ey * ey > gate * gate:
+        d2 = ex * ex + ey * ey
+        if d2 > gate * gate:
+            continue
+        is_edge = normals[i, 0] == 0.0 and normals[i, 1] == 0.0
+        if is_edge != (nx == 0.0 and ny == 0.0):
+            continue
+        if is_edge:
+            # An edge or a thin thing holds a point in both directions, where a hallway's walls do
+            # not; it is known to about a cell, as beams pass it left and right
+            u = 1.0 + d2 / (3.0 * resolution) ** 2
+            w = (sigma / resolution) ** 2 / (u * u)
+            ax, ay = c * ex + s * ey, -s * ex + c * ey
+            H[0, 0] += w
+            H[0, 2] -= w * py
+            H[1, 1] += w
+            H[1, 2] += w * px
+            H[2, 2] += w * (px * px + py * py)
+            b[0] += w * ax
+            b[1] += w * ay
+            b[2] += w * (px * ay - py * ax)
             continue
         # The surfel's normal in the scan's frame; 45 degrees keep the two faces of a wall apart
         jx, jy = c * nx + s * ny, -s * nx + c * ny
