@@ -22,6 +22,9 @@ _PUBLIC = {
     "load_map": "rgslam.rg_map",
     "RGMap": "rgslam.rg_map",
     "segment_grid": "rgslam.regions",
+    "reconstruct_rectangle": "rgslam.rectangles.reconstruct",
+    "PinholeCamera": "rgslam.camera",
+    "StereoCamera": "rgslam.camera",
     "Config": "rgslam.config",
     "LaserScan": "rgslam.types",
     "Odometry": "rgslam.types",
@@ -40,6 +43,8 @@ _PUBLIC = {
 __all__ = ["__version__", *_PUBLIC]
 
 if TYPE_CHECKING:
+    from rgslam.camera import PinholeCamera as PinholeCamera
+    from rgslam.camera import StereoCamera as StereoCamera
     from rgslam.config import Config as Config
     from rgslam.errors import ConfigError as ConfigError
     from rgslam.errors import DatasetError as DatasetError
@@ -51,6 +56,7 @@ if TYPE_CHECKING:
     from rgslam.mapper import Mapper as Mapper
     from rgslam.pipeline import build_map as build_map
     from rgslam.recording_check import check_recording as check_recording
+    from rgslam.rectangles.reconstruct import reconstruct_rectangle as reconstruct_rectangle
     from rgslam.regions import segment_grid as segment_grid
     from rgslam.rg_map import RGMap as RGMap
     from rgslam.rg_map import load_map as load_map
