@@ -49,12 +49,13 @@ def surfels_of(points: ScanPoints, wTb: FloatArray, resolution: float = 0.05) ->
         transform_points(wTb, points.valid),
         points.normals[valid] @ rotation.T,
         points.normal_variances[valid],
+        points.classes[valid],
         resolution,
     )
 
 
 def aligned(scan: ScanPoints, guess: FloatArray, surfels: SurfelMap) -> FloatArray:
-    return register(*scan.surface, guess, surfels, SIGMA, gate_schedule(0.25, SIGMA)).wTb
+    return register(*scan.oriented, guess, surfels, SIGMA, gate_schedule(0.25, SIGMA)).wTb
 
 
 # --- Points and normals ---------------------------------------------------------------------------
@@ -124,7 +125,7 @@ def test_thinned_keeps_one_point_per_cell() -> None:
 def test_nearest_surfel_of_a_cell_is_the_nearest_of_all() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-1.0, 1.0, (60, 2))
-    surfels = build_surfel_map(points, np.zeros((60, 2)), np.zeros(60), 0.05)
+    surfels = build_surfel_map(points, np.zeros((60, 2)), np.zeros(60), np.ones(60, np.uint8), 0.05)
     rows, cols = np.nonzero(surfels.nearest >= 0)
     centres = surfels.origin + (np.stack([cols, rows], -1) + 0.5) * 0.05
     distances = np.linalg.norm(centres[:, None] - surfels.points[None], axis=-1)
@@ -139,7 +140,9 @@ def test_two_faces_of_a_thin_wall_stay_apart() -> None:
     front = np.stack([x, np.full(50, 0.011)], -1)
     back = np.stack([x, np.full(50, 0.039)], -1)
     normals = np.repeat([[0.0, -1.0], [0.0, 1.0]], 50, axis=0)
-    surfels = build_surfel_map(np.vstack([front, back]), normals, np.full(100, 1e-4), 0.05)
+    surfels = build_surfel_map(
+        np.vstack([front, back]), normals, np.full(100, 1e-4), np.full(100, SURFACE, np.uint8), 0.05
+    )
     np.testing.assert_allclose(np.abs(surfels.normals[:, 1]), 1.0)
     heights = surfels.points[:, 1] - surfels.origin[1]
     assert len(np.unique(np.round(heights, 4))) == 2
@@ -201,7 +204,9 @@ def test_a_rival_is_found_where_the_room_looks_the_same_twice() -> None:
 def test_the_prior_decides_along_a_hallway_and_gives_way_to_the_laser() -> None:
     x = np.arange(-8.0, 8.0, 0.03)
     walls = np.vstack([np.stack([x, np.full_like(x, y)], -1) for y in (-1.0, 1.0)])
-    surfels = build_surfel_map(walls, np.zeros_like(walls), np.zeros(len(walls)), 0.05)
+    surfels = build_surfel_map(
+        walls, np.zeros_like(walls), np.zeros(len(walls)), np.ones(len(walls), np.uint8), 0.05
+    )
     near = walls[np.abs(walls[:, 0]) < 4.0]
     prior = (0.005 / 0.05**2, 0.005 / 0.02**2, 0.125)
     centre = np.array([1.0, 0.12, 0.0])
@@ -257,7 +262,7 @@ def test_a_hallway_stays_open_along_its_axis() -> None:
     scan = LaserScan(0.0, ranges, angles, 12.0, np.zeros(3))
     points = scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
     surfels = surfels_of(points, np.zeros(3))
-    match = register(*points.surface, np.zeros(3), surfels, SIGMA, gate_schedule(0.1, SIGMA))
+    match = register(*points.oriented, np.zeros(3), surfels, SIGMA, gate_schedule(0.1, SIGMA))
     along, across = match.information[0, 0], match.information[1, 1]
     # Noise of the normals alone would claim a thousandth of the information across
     assert along < 2e-4 * across

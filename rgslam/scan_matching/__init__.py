@@ -10,6 +10,7 @@ with a covariance that comes from the match itself.
 from rgslam.scan_matching.agreement import Agreement, agreement
 from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
 from rgslam.scan_matching.scan_points import (
+    EDGE,
     INVALID,
     POINT,
     SURFACE,
@@ -28,6 +29,7 @@ from rgslam.scan_matching.surfel_map import (
 )
 
 __all__ = [
+    "EDGE",
     "INVALID",
     "POINT",
     "SURFACE",

@@ -18,8 +18,9 @@ from numba import njit
 from rgslam.errors import RecordingError
 from rgslam.types import FloatArray, IntArray, LaserScan
 
-#: A point of class INVALID has no position, POINT no reliable normal, SURFACE has both.
-INVALID, POINT, SURFACE = 0, 1, 2
+#: INVALID: no position. POINT: a lone return, nothing is known of what it lies on. SURFACE: on a wall
+#: with a normal. EDGE: its neighbours are no straight wall (a corner, a frame, a leg).
+INVALID, POINT, SURFACE, EDGE = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class ScanPoints:
     points: FloatArray  # (n, 2), b; NaN where there is no return
     normals: FloatArray  # (n, 2), b, towards the sensor; 0 where unreliable
     normal_variances: FloatArray  # (n,), rad^2
-    classes: npt.NDArray[np.uint8]  # (n,): INVALID, POINT or SURFACE
+    classes: npt.NDArray[np.uint8]  # (n,): INVALID, POINT, SURFACE or EDGE
 
     @cached_property
     def valid(self) -> FloatArray:
@@ -87,8 +88,9 @@ class ScanPoints:
 
     @cached_property
     def oriented(self) -> tuple[FloatArray, FloatArray]:
-        """Points with a position and their normals (0 where unreliable), (m, 2) each."""
-        return self.valid, self.normals[self.classes != INVALID]
+        """Points on surfaces and edges with their normals (0 on edges), (m, 2) each."""
+        known = self.classes >= SURFACE
+        return self.points[known], self.normals[known]
 
 
 def scan_points(
@@ -114,6 +116,24 @@ def scan_points(
 #: Neighbours to each side that the normal is fitted to, and their farthest distance in metres:
 #: a wall is straight over that length, whatever the building.
 _NEIGHBOURS, _SUPPORT = 25, 0.25
+
+
+@njit(cache=True)
+def _stands_out(ranges: FloatArray, i: int, hits: int, full_circle: bool) -> bool:
+    """Whether the few beams around i hit a thin thing: what lies on both sides is farther away.
+
+    Lone returns of a wall that the beams graze are nearer on one side.
+    """
+    n = len(ranges)
+    for side in (-1, 1):
+        j = i + side * hits
+        if full_circle:
+            j %= n
+        elif j < 0 or j >= n:
+            return False
+        if not ranges[j] > ranges[i]:  # an invalid reading tells nothing
+            return False
+    return True
 
 
 @njit(cache=True)
@@ -158,6 +178,8 @@ def _points_and_normals(
                 sxy += dx * dy
                 syy += dy * dy
         if count < 2:
+            if _stands_out(ranges, i, 1 + count, full_circle):
+                classes[i] = 3
             continue
         m = count + 1.0
         cxx, cxy, cyy = sxx / m - sx * sx / m**2, sxy / m - sx * sy / m**2, syy / m - sy * sy / m**2
@@ -166,6 +188,7 @@ def _points_and_normals(
         root = np.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy)
         small, large = half_trace - root, half_trace + root
         if small > (2.5 * sigma) ** 2 or large < 9.0 * max(small, sigma * sigma):
+            classes[i] = 3
             continue
         angle = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)  # direction of the wall
         nx, ny = -np.sin(angle), np.cos(angle)
@@ -236,8 +259,13 @@ class ScanStore:
 
     def in_world(
         self, members: IntArray, poses: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Points (m, 2), normals (m, 2), their variances (m,) of scans in w, given wTb (r, 3)."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.uint8]]:
+        """Points (m, 2), normals (m, 2), their variances (m,) and classes (m,) of scans in w.
+
+        Args:
+            members: (r,), which scans.
+            poses: (r, 3), their wTb.
+        """
         c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
         p, n = self.points[members], self.normals[members]
         valid = self.classes[members] != INVALID
@@ -248,6 +276,7 @@ class ScanStore:
             np.stack([axis[valid] for axis in points], axis=-1),
             np.stack([axis[valid] for axis in normals], axis=-1),
             self.normal_variances[members][valid],
+            self.classes[members][valid],
         )
 
     @property

@@ -29,6 +29,7 @@ class SurfelMap:
     points: FloatArray  # (s, 2), w
     normals: FloatArray  # (s, 2), w, towards the sensor; 0 where unreliable
     normal_variances: FloatArray  # (s,), rad^2
+    is_edge: npt.NDArray[np.bool_]  # (s,), whether it stands for an edge
     nearest: npt.NDArray[np.int32]  # (H, W), index of the nearest surfel, -1 = none within reach
     levels: tuple[
         npt.NDArray[np.uint8], ...
@@ -38,7 +39,11 @@ class SurfelMap:
 
 
 def build_surfel_map(
-    w_points: FloatArray, w_normals: FloatArray, normal_variances: FloatArray, resolution: float
+    w_points: FloatArray,
+    w_normals: FloatArray,
+    normal_variances: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    resolution: float,
 ) -> SurfelMap:
     """Merge points into surfels.
 
@@ -46,6 +51,7 @@ def build_surfel_map(
         w_points: (n, 2), the points.
         w_normals: (n, 2), their normals; 0 where unreliable.
         normal_variances: (n,), rad^2, of the normals.
+        classes: (n,), POINT, SURFACE or EDGE.
         resolution: m per cell; also the standard deviation of the likelihood, as a place is known
             to about a cell.
 
@@ -56,13 +62,15 @@ def build_surfel_map(
     low = np.array([x.min(), y.min()]) - BLOCKS[0] * resolution
     rows = int(np.ceil((y.max() - low[1]) / resolution)) + BLOCKS[0]
     cols = int(np.ceil((x.max() - low[0]) / resolution)) + BLOCKS[0]
-    points, normals, variances = _merge(
-        w_points, w_normals, normal_variances, low, resolution, rows, cols
+    points, normals, variances, is_edge = _merge(
+        w_points, w_normals, normal_variances, classes, low, resolution, rows, cols
     )
     nearest, fine = _stamp(points, low, resolution, rows, cols)
     middle = _pool(fine, BLOCKS[1], 1)
     coarse = _pool(middle, BLOCKS[0] // BLOCKS[1], BLOCKS[1])
-    return SurfelMap(points, normals, variances, nearest, (coarse, middle, fine), resolution, low)
+    return SurfelMap(
+        points, normals, variances, is_edge, nearest, (coarse, middle, fine), resolution, low
+    )
 
 
 @njit(cache=True)
@@ -70,19 +78,20 @@ def _merge(
     points: FloatArray,
     normals: FloatArray,
     variances: FloatArray,
+    classes: npt.NDArray[np.uint8],
     low: FloatArray,
     resolution: float,
     rows: int,
     cols: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
     owner = np.full((rows, cols), -1, np.int32)
-    sums = np.zeros((len(points), 7))  # x, y, points, normal x, normal y, variance, normals
+    sums = np.zeros((len(points), 8))  # x, y, points, normal x, normal y, variance, normals, edges
     count = 0
     for i in range(len(points)):
         r = int((points[i, 1] - low[1]) / resolution)
         c = int((points[i, 0] - low[0]) / resolution)
         k = owner[r, c]
-        has_normal = normals[i, 0] != 0.0 or normals[i, 1] != 0.0
+        has_normal = classes[i] == 2
         if k >= 0:
             # Two faces of a thin wall stay two surfels: the newer one owns the cell
             along = sums[k, 3] * normals[i, 0] + sums[k, 4] * normals[i, 1]
@@ -95,12 +104,14 @@ def _merge(
         sums[k, 0] += points[i, 0]
         sums[k, 1] += points[i, 1]
         sums[k, 2] += 1.0
+        sums[k, 7] += classes[i] == 3
         if has_normal:
             sums[k, 3] += normals[i, 0]
             sums[k, 4] += normals[i, 1]
             sums[k, 5] += variances[i]
             sums[k, 6] += 1.0
     means, directions, spread = np.empty((count, 2)), np.zeros((count, 2)), np.zeros(count)
+    is_edge = np.zeros(count, np.bool_)
     for k in range(count):
         means[k, 0] = sums[k, 0] / sums[k, 2]
         means[k, 1] = sums[k, 1] / sums[k, 2]
@@ -110,7 +121,8 @@ def _merge(
             directions[k, 1] = sums[k, 4] / length
             # Not divided by their number: neighbours in a scan are fitted to the same points
             spread[k] = sums[k, 5] / sums[k, 6]
-    return means, directions, spread
+        is_edge[k] = sums[k, 7] > 0.0 and sums[k, 6] == 0.0
+    return means, directions, spread, is_edge
 
 
 @njit(cache=True)
@@ -180,7 +192,7 @@ def register(
 
     Args:
         b_points: (n, 2), points of the scan.
-        b_normals: (n, 2), their normals; 0 where unreliable.
+        b_normals: (n, 2), their normals; 0 on edges.
         guess: (3,), wTb to start from.
         surfels: the map, in w.
         sigma: m, standard deviation of a point across its line.
@@ -197,8 +209,8 @@ def register(
     mean = guess if prior_mean is None else prior_mean
     pose, information, matched, rms, converged = _register(
         np.asarray(guess, float), b_points, b_normals, surfels.points, surfels.normals,
-        surfels.normal_variances, surfels.nearest, surfels.resolution, surfels.origin, sigma, gates,
-        np.asarray(mean, float), prior,
+        surfels.normal_variances, surfels.is_edge, surfels.nearest, surfels.resolution,
+        surfels.origin, sigma, gates, np.asarray(mean, float), prior,
     )  # fmt: skip
     # The noise of the normals was taken off, so that a bare hallway stays open along its axis;
     # where it exceeds what an axis is known by, the axis is not known at all
@@ -216,6 +228,7 @@ def _normal_equations(
     map_points: FloatArray,
     map_normals: FloatArray,
     map_variances: FloatArray,
+    map_edges: npt.NDArray[np.bool_],
     nearest: npt.NDArray[np.int32],
     resolution: float,
     origin: FloatArray,
@@ -246,12 +259,11 @@ def _normal_equations(
         d2 = ex * ex + ey * ey
         if d2 > gate * gate:
             continue
-        is_edge = normals[i, 0] == 0.0 and normals[i, 1] == 0.0
-        if is_edge != (nx == 0.0 and ny == 0.0):
-            continue
-        if is_edge:
-            # An edge or a thin thing holds a point in both directions, where a hallway's walls do
-            # not; it is known to about a cell, as beams pass it left and right
+        if normals[i, 0] == 0.0 and normals[i, 1] == 0.0:
+            if not map_edges[k]:
+                continue
+            # An edge holds a point in both directions, where a hallway's walls do not; it is known
+            # to about a cell, as beams pass it left and right
             u = 1.0 + d2 / (3.0 * resolution) ** 2
             w = (sigma / resolution) ** 2 / (u * u)
             ax, ay = c * ex + s * ey, -s * ex + c * ey
@@ -328,6 +340,7 @@ def _register(
     map_points: FloatArray,
     map_normals: FloatArray,
     map_variances: FloatArray,
+    map_edges: npt.NDArray[np.bool_],
     nearest: npt.NDArray[np.int32],
     resolution: float,
     origin: FloatArray,
@@ -341,8 +354,8 @@ def _register(
     matched, rms, converged = 0, np.inf, False
     for iteration in range(len(gates)):
         H, noise, b, matched, weights, squares = _normal_equations(
-            pose, points, normals, map_points, map_normals, map_variances, nearest, resolution,
-            origin, sigma, gates[iteration],
+            pose, points, normals, map_points, map_normals, map_variances, map_edges, nearest,
+            resolution, origin, sigma, gates[iteration],
         )  # fmt: skip
         information = (H - noise) / (sigma * sigma)
         if matched < 3:
