@@ -119,7 +119,7 @@ class RegionConfig(StageConfig):
 class StereoConfig(StageConfig):
     """Depth from two cameras (see `rgslam.stereo`)."""
 
-    nearest: float = Field(0.35, gt=0.0)  # m, a robot's bumper keeps things farther off
+    nearest: float = Field(0.25, gt=0.0)  # m, a robot's bumper keeps things farther off
     # Share of the width; what is shifted by more is hardly in both images.
     max_disparity: float = Field(0.25, gt=0.0, le=1.0)
     matching_width: int = Field(384, ge=64)  # px, larger images are matched at this width
@@ -141,6 +141,25 @@ class RectangleConfig(StageConfig):
     refine_reach_px: float = Field(3.0, ge=1.0)  # px across a line in which its edge is searched
     edge_sigma_px: float = Field(0.07, gt=0.0)  # px by which real edges are not straight
     edge_correlation_px: float = Field(4.0, ge=1.0)  # px along an edge that err alike
+    # Hypotheses
+    parallel_deg: float = Field(15.0, gt=0.0, lt=90.0)  # neighbouring sides meet at more than this
+    min_angle_deg: float = Field(20.0, gt=0.0, lt=90.0)  # internal angles: this .. 180 less this
+    corner_gap: float = Field(1.5, ge=0.0)  # reach of a line beyond its ends, of its length
+    min_side_support: float = Field(0.5, ge=0.0, le=1.0)  # share of each side that is an edge
+    min_support: float = Field(0.75, ge=0.0, le=1.0)  # the same of the whole border
+    max_crossings: int = Field(1, ge=0, le=4)  # corners at which both lines go on
+    double_px: float = Field(2.0, ge=0.0)  # hypotheses whose corners are this close are one
+    # Share of the width, largest shift of a rectangle between the images that is searched.
+    max_disparity: float = Field(0.4, gt=0.0, le=1.0)
+    max_hypotheses: int = Field(400, ge=1)  # the best; each takes 30 us
+    # Shape and verification
+    corner_sigma_px: float = Field(0.25, gt=0.0)  # rest of lens and rectification, bent objects
+    shape_sigmas: float = Field(4.0, gt=0.0)  # of the right angle, before depth is asked for
+    min_similarity: float = Field(0.3, ge=-1.0, le=1.0)  # of the borders in both images
+    max_relative_sigma: float = Field(0.25, gt=0.0)  # of width and height
+    prior: float = Field(0.1, gt=0.0, lt=1.0)  # share of hypotheses that are rectangles
+    min_probability: float = Field(0.5, ge=0.0, le=1.0)  # of being one, after verification
+    max_overlap: float = Field(0.8, gt=0.0, le=1.0)  # of two rectangles, intersection over union
 
 
 class Config(StageConfig):

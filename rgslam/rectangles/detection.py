@@ -1,0 +1,320 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage: a rectified stereo pair -> the rectangles in it, with pose, size and covariance."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rgslam.camera import StereoCamera
+from rgslam.config import Config
+from rgslam.errors import CalibrationError
+from rgslam.rectangles.gradients import GradientImage, gradient_image
+from rgslam.rectangles.hypotheses import PASS_COST, Quadrangles, find_quadrangles
+from rgslam.rectangles.line_segments import lines_of_gradient
+from rgslam.rectangles.maximum_likelihood import (
+    CornerMeasurements,
+    RectangleEstimates,
+    fit_rectangles,
+)
+from rgslam.rectangles.plane_normal import plane_normal
+from rgslam.rectangles.ray_plane import shape_score
+from rgslam.rectangles.rejection import Rejection
+from rgslam.rectangles.right_search import find_in_right
+from rgslam.rectangles.verification import (
+    RightCorners,
+    measure_in_right,
+    rectangle_probability,
+)
+from rgslam.stereo.disparity import DisparityImage, compute_disparity
+from rgslam.types import FloatArray, IntArray
+
+_GreyImage = npt.NDArray[np.uint8]
+_Mask = npt.NDArray[np.bool_]
+_TOUCH = 0.1  # of the smaller area: what corners a pixel off make neighbours overlap by
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedRectangle:
+    """A rectangle seen by a stereo camera; c is the left rectified camera.
+
+    Its frame: origin at the centre, x along the width, y along the height (up), z the normal
+    towards the camera. Corners run counter-clockwise from the lower left.
+    """
+
+    rotation: FloatArray  # (3, 3), of cTr
+    translation: FloatArray  # (3,), m, of cTr
+    size: FloatArray  # (2,), m, width and height
+    covariance: FloatArray  # (8, 8), tangent of gtsam.Pose3 (rotation, translation), width, height
+    corners: FloatArray  # (4, 3), m, c
+    corner_covariances: FloatArray  # (4, 3, 3), m^2, c
+    left_px: FloatArray  # (4, 2), measured
+    left_covariance: FloatArray  # (8, 8), px^2
+    right_px: FloatArray  # (4, 2), measured
+    right_covariance: FloatArray  # (8, 8), px^2
+    cost: float  # chi-square of the fit, 8 degrees of freedom
+    probability: float  # of being a rectangle
+    support: FloatArray  # (4,), share of each side that is an edge in the left image
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal (3,) in c, towards the camera."""
+        return self.rotation[:, 2]
+
+    @property
+    def size_sigma(self) -> FloatArray:
+        """Standard deviation (2,) of width and height, m."""
+        return np.sqrt(np.diagonal(self.covariance)[6:])
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """What one stereo pair shows."""
+
+    rectangles: tuple[DetectedRectangle, ...]  # the most credible first
+    rejected: Mapping[Rejection, int]  # hypotheses refused, by reason
+    line_count: int
+
+
+def detect_rectangles(
+    left: _GreyImage,
+    right: _GreyImage,
+    camera: StereoCamera,
+    config: Config | None = None,
+    valid: tuple[_Mask | None, _Mask | None] = (None, None),
+) -> Detection:
+    """Find the rectangles in a rectified pair (paper, section III, steps 1 to 5).
+
+    Args:
+        left: Grey image (height, width).
+        right: The same of the right camera.
+        camera: The rectified pair.
+        config: Sections `stereo` and `rectangles`.
+        valid: Pixels that were recorded, per image; None = all.
+
+    Raises:
+        CalibrationError: an image is not of the camera's size.
+    """
+    config = Config() if config is None else config
+    for name, image in (("left", left), ("right", right)):
+        if image.shape != (camera.height, camera.width):
+            raise CalibrationError(
+                f"{name} image: shape {image.shape}, but the camera has "
+                f"{camera.width} x {camera.height} grey pixels"
+            )
+    rejected: Counter[Rejection] = Counter()
+    gradients = (gradient_image(left, valid[0]), gradient_image(right, valid[1]))
+
+    # 1. Hypotheses: four lines each
+    lines = lines_of_gradient(left, gradients[0], config.rectangles)
+    quads = find_quadrangles(lines, gradients[0], config.rectangles)
+    rejected.update(quads.rejected)
+
+    # 2., 3. Normal and shape, before any depth
+    quads = _of_rectangular_shape(_from_lower_left(quads), camera, config, rejected)
+
+    if not len(quads):
+        return _detection((), rejected, len(lines))
+
+    # 5. The right image: where the sides are there, and corner disparities from them
+    dense = compute_disparity(left, right, camera, config.stereo)
+    quads, measured = _in_right_image(quads, gradients, camera, dense, config, rejected)
+
+    if not len(quads):
+        return _detection((), rejected, len(lines))
+
+    # 4. Maximum likelihood from all corners in both images
+    estimates = _estimate(quads, measured, camera, config)
+    found = _accept(quads, measured, estimates, config, rejected)
+    return _detection(found, rejected, len(lines))
+
+
+def _detection(
+    found: tuple[DetectedRectangle, ...], rejected: Counter[Rejection], line_count: int
+) -> Detection:
+    return Detection(found, {why: count for why, count in rejected.items() if count}, line_count)
+
+
+def _from_lower_left(quads: Quadrangles) -> Quadrangles:
+    """Corners started so that sides 3-0 and 1-2, the height, are nearest to upright."""
+    ends = quads.corners + np.roll(quads.corners, -1, axis=1)  # twice the middle of side s
+    lower = ends[..., 1] - np.roll(ends, -2, axis=1)[..., 1]  # y down: largest = lowest side
+    order = (lower.argmax(axis=1)[:, None] + np.arange(4)) % 4 if len(quads) else np.zeros((0, 4))
+    order = order.astype(np.int64)
+    rows = np.arange(len(quads))[:, None]
+    coordinates = (2 * order[:, :, None] + np.arange(2)).reshape(-1, 8)
+    covariances = quads.covariances[rows[:, :, None], coordinates[:, :, None], coordinates[:, None]]
+    return Quadrangles(
+        quads.corners[rows, order],
+        covariances,
+        quads.lines[rows, order],
+        quads.support[rows, order],
+        quads.passes,
+        quads.rejected,
+    )
+
+
+def _of_rectangular_shape(
+    quads: Quadrangles, camera: StereoCamera, config: Config, rejected: Counter[Rejection]
+) -> Quadrangles:
+    """Without depth the shape is known up to scale: sides at right angles, or no rectangle."""
+    section = config.rectangles
+    covariances = quads.covariances + section.corner_sigma_px**2 * np.eye(8)
+    score = shape_score(quads.corners, covariances, camera)
+    good = score <= section.shape_sigmas
+    rejected[Rejection.NOT_RECTANGLE] += int((~good).sum())
+    return quads.take(np.flatnonzero(good))
+
+
+def _in_right_image(
+    quads: Quadrangles,
+    gradients: tuple[GradientImage, GradientImage],
+    camera: StereoCamera,
+    dense: DisparityImage,
+    config: Config,
+    rejected: Counter[Rejection],
+) -> tuple[Quadrangles, RightCorners]:
+    section = config.rectangles
+    most = min(
+        float(camera.disparity(np.array(config.stereo.nearest))),
+        section.max_disparity * camera.width,
+    )
+    normals = plane_normal(quads.corners, camera)
+    match = find_in_right(quads.corners, normals, *gradients, camera, (1.0, most), dense)
+    alike = match.similarity >= section.min_similarity
+    rejected[Rejection.NO_DEPTH] += int((~match.found).sum())
+    rejected[Rejection.VERIFICATION_FAILED] += int((match.found & ~alike).sum())
+    kept = np.flatnonzero(match.found & alike)
+    return quads.take(kept), measure_in_right(match.corners[kept], gradients[1], section)
+
+
+def _estimate(
+    quads: Quadrangles, measured: RightCorners, camera: StereoCamera, config: Config
+) -> RectangleEstimates:
+    rest = config.rectangles.corner_sigma_px**2 * np.eye(8)
+    measurements = CornerMeasurements.of(
+        quads.corners,
+        quads.covariances + rest,
+        right_px=measured.corners,
+        right_covariance=np.nan_to_num(measured.covariances) + rest,
+    )
+    return fit_rectangles(measurements, camera)
+
+
+def _accept(
+    quads: Quadrangles,
+    measured: RightCorners,
+    estimates: RectangleEstimates,
+    config: Config,
+    rejected: Counter[Rejection],
+) -> tuple[DetectedRectangle, ...]:
+    section = config.rectangles
+    probability = rectangle_probability(
+        measured, estimates.costs, estimates.degrees_of_freedom, section
+    )
+    sigma = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
+    with np.errstate(invalid="ignore"):
+        vague = ~(sigma <= section.max_relative_sigma * estimates.sizes).all(axis=1)
+    seen = np.isfinite(measured.corners).all(axis=(1, 2))
+    tests = (
+        (Rejection.VERIFICATION_FAILED, ~seen),
+        (Rejection.NOT_CONVERGED, ~estimates.converged),
+        (Rejection.VERIFICATION_FAILED, probability < section.min_probability),
+        (Rejection.TOO_UNCERTAIN, vague),
+    )
+    good = np.ones(len(quads), dtype=bool)
+    for reason, failed in tests:
+        rejected[reason] += int((good & failed).sum())
+        good &= ~failed
+    rank = _ranks(quads, measured, probability)
+    order = np.flatnonzero(good)[np.argsort(-rank[good], kind="stable")]
+    kept = _without_rivals(quads.corners[order], quads.lines[order], section.max_overlap)
+    rejected[Rejection.DUPLICATE] += len(order) - len(kept)
+    return tuple(_rectangle(int(i), quads, measured, estimates, probability) for i in order[kept])
+
+
+def _ranks(quads: Quadrangles, measured: RightCorners, probability: FloatArray) -> FloatArray:
+    """Who explains an overlap better: edges in both images, ends at corners, then size."""
+    side = np.roll(quads.corners, -1, axis=1) - quads.corners
+    perimeter = np.linalg.norm(side, axis=2).sum(axis=1)
+    border = np.minimum(quads.support, measured.support)
+    return (
+        0.5 * border.mean(axis=1)
+        + 0.5 * border.min(axis=1)
+        + 0.2 * probability
+        - PASS_COST * quads.passes
+        + 0.05 * np.log(perimeter)
+    )
+
+
+def _without_rivals(corners: FloatArray, lines: IntArray, max_overlap: float) -> IntArray:
+    """Indices of quadrangles that do not contradict a better one (they come best first).
+
+    Two rectangles whose borders are seen whole lie apart or one within the other: a partial overlap
+    would hide a border. Two that nearly coincide, or share two lines and overlap, read the same
+    border in two ways.
+    """
+    kept: list[int] = []
+    polygons = corners.astype(np.float32)
+    areas = [abs(cv2.contourArea(polygon)) for polygon in polygons]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    for i in range(len(corners)):
+        rival = False
+        for k in kept:
+            if (low[i] >= high[k]).any() or (low[k] >= high[i]).any():
+                continue
+            common = cv2.intersectConvexConvex(polygons[i], polygons[k])[0]
+            smaller = min(areas[i], areas[k])
+            same = common > max_overlap * (areas[i] + areas[k] - common)
+            partial = _TOUCH * smaller < common < (1 - _TOUCH) * smaller
+            shared = len(np.intersect1d(lines[i], lines[k])) >= 2 and common > _TOUCH * smaller
+            if same or partial or shared:
+                rival = True
+                break
+        if not rival:
+            kept.append(i)
+    return np.array(kept, dtype=np.int64)
+
+
+def _rectangle(
+    index: int,
+    quads: Quadrangles,
+    measured: RightCorners,
+    estimates: RectangleEstimates,
+    probability: FloatArray,
+) -> DetectedRectangle:
+    one = RectangleEstimates(
+        *(getattr(estimates, name)[index : index + 1] for name in _ESTIMATE_FIELDS)
+    )
+    return DetectedRectangle(
+        rotation=one.rotations[0],
+        translation=one.translations[0],
+        size=one.sizes[0],
+        covariance=one.covariances[0],
+        corners=one.corners[0],
+        corner_covariances=one.corner_covariances[0],
+        left_px=quads.corners[index],
+        left_covariance=quads.covariances[index],
+        right_px=measured.corners[index],
+        right_covariance=measured.covariances[index],
+        cost=float(one.costs[0]),
+        probability=float(probability[index]),
+        support=quads.support[index],
+    )
+
+
+_ESTIMATE_FIELDS = (
+    "rotations",
+    "translations",
+    "sizes",
+    "covariances",
+    "costs",
+    "degrees_of_freedom",
+    "converged",
+)

@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Closing lines and their corners into quadrangles: the loops, compiled."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rgslam.config import RectangleConfig
+from rgslam.rectangles.line_support import STEP, LineSupport
+from rgslam.rectangles.rejection import Rejection
+from rgslam.types import FloatArray, IntArray
+
+# What the compiled loop counts, by index.
+REASONS = (
+    Rejection.TOO_SMALL,
+    Rejection.PARALLEL,
+    Rejection.SELF_INTERSECTING,
+    Rejection.ANGLE_OUT_OF_RANGE,
+    Rejection.WEAK_BORDER,
+)
+_SMALL, _PARALLEL, _CROSSED, _ANGLE, _WEAK = range(5)
+_GOOD = -1
+_MOST_U = 400_000  # open U's kept; an image of clutter has 50,000
+_MOST_FOUND = 50_000  # quadrangles kept, in the order of the lines (the longest first)
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Intersections of all pairs of n lines."""
+
+    points: FloatArray  # (n, n, 2), px
+    along: FloatArray  # (n, n), px, place of the intersection on the first line, from its midpoint
+    valid: npt.NDArray[np.bool_]  # (n, n), both lines reach it, at an angle
+
+
+def close_quadrangles(
+    corners: Corners, support: LineSupport, diagonal: float, config: RectangleConfig
+) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
+    """All quadrangles of four lines whose corners are valid and whose sides are supported.
+
+    Returns:
+        Lines (k, 4) in the order around, support (k, 4) of the sides on them, number (k,) of ends
+        of sides past which the line goes on, and counts of what was refused, by `REASONS`.
+    """
+    begins, first, second = _open_sides(
+        corners.valid,
+        corners.along,
+        support.cumulated,
+        support.first,
+        support.count,
+        support.begin,
+        config.min_side * diagonal,
+        config.min_side_support,
+    )
+    size = len(corners.valid)
+    order = np.argsort(first * size + second, kind="stable")
+    limits = np.array(
+        [
+            config.min_side * diagonal,
+            math.cos(math.radians(config.min_angle_deg)),
+            config.min_side_support,
+            config.min_support,
+            config.max_crossings,
+        ]
+    )
+    return _closed(
+        begins[order],
+        first[order],
+        second[order],
+        corners.points,
+        corners.along,
+        corners.valid,
+        support.cumulated,
+        support.first,
+        support.count,
+        support.begin,
+        limits,
+    )
+
+
+@njit(cache=True)
+def _share(
+    i: int, a: float, b: float, cumulated: FloatArray, first: IntArray, count: IntArray,
+    begin: FloatArray,
+) -> float:  # fmt: skip
+    """Share of line i between places a and b that has an edge."""
+    if a > b:
+        a, b = b, a
+    low = min(max(math.ceil((a - begin[i]) / STEP), 0), count[i])
+    high = min(max(math.floor((b - begin[i]) / STEP) + 1, 0), count[i])
+    wanted = max((b - a) / STEP, 1.0)
+    return min((cumulated[first[i] + high] - cumulated[first[i] + low]) / wanted, 1.0)
+
+
+@njit(cache=True)
+def _open_sides(
+    valid: npt.NDArray[np.bool_], along: FloatArray, cumulated: FloatArray, first: IntArray,
+    count: IntArray, begin: FloatArray, least: float, least_support: float,
+) -> tuple[IntArray, IntArray, IntArray]:  # fmt: skip
+    """Every line with the two lines at its ends, the arms a < b."""
+    size = len(valid)
+    found = np.empty((_MOST_U, 3), dtype=np.int64)
+    total = 0
+    near = np.empty(size, dtype=np.int64)
+    for j in range(size):
+        arms = 0
+        for a in range(size):
+            if valid[j, a]:
+                near[arms] = a
+                arms += 1
+        for p in range(arms):
+            a = near[p]
+            for q in range(p + 1, arms):
+                b = near[q]
+                if abs(along[j, a] - along[j, b]) < least:
+                    continue
+                share = _share(j, along[j, a], along[j, b], cumulated, first, count, begin)
+                if share >= least_support and total < _MOST_U:
+                    found[total, 0], found[total, 1], found[total, 2] = j, a, b
+                    total += 1
+    return found[:total, 0].copy(), found[:total, 1].copy(), found[:total, 2].copy()
+
+
+@njit(cache=True)
+def _closed(
+    side: IntArray, first_arm: IntArray, second_arm: IntArray, points: FloatArray,
+    along: FloatArray, valid: npt.NDArray[np.bool_], cumulated: FloatArray, first: IntArray,
+    count: IntArray, begin: FloatArray, limits: FloatArray,
+) -> tuple[IntArray, FloatArray, IntArray, IntArray]:  # fmt: skip
+    """Pairs of U's with the same arms; `side` etc. are sorted by arms."""
+    members = np.empty((_MOST_FOUND, 4), dtype=np.int64)
+    quality = np.empty((_MOST_FOUND, 4))
+    passes = np.empty(_MOST_FOUND, dtype=np.int64)
+    refused = np.zeros(5, dtype=np.int64)
+    lines = np.empty(4, dtype=np.int64)
+    share = np.empty(4)
+    total, start = 0, 0
+    while start < len(side):
+        a, b = first_arm[start], second_arm[start]
+        end = start
+        while end < len(side) and first_arm[end] == a and second_arm[end] == b:
+            end += 1
+        for p in range(start, end):
+            for q in range(p + 1, end):
+                j, l = min(side[p], side[q]), max(side[p], side[q])  # noqa: E741
+                # Each quadrangle is met twice, once by either pair of opposite sides.
+                if j > min(a, b):
+                    continue
+                if (
+                    abs(along[a, j] - along[a, l]) < limits[0]
+                    or abs(along[b, j] - along[b, l]) < limits[0]
+                ):
+                    refused[_SMALL] += 1
+                    continue
+                lines[0], lines[1], lines[2], lines[3] = j, b, l, a
+                for s in range(4):
+                    i, before, after = lines[s], lines[(s + 3) % 4], lines[(s + 1) % 4]
+                    share[s] = _share(
+                        i, along[i, before], along[i, after], cumulated, first, count, begin
+                    )
+                reason = _refusal(lines, points, share, limits)
+                if reason != _GOOD:
+                    refused[reason] += 1
+                    continue
+                crossed, passed = _crossed(lines, along, cumulated, first, count, begin)
+                if crossed > limits[4]:
+                    refused[_WEAK] += 1
+                    continue
+                if total < _MOST_FOUND:
+                    members[total], quality[total], passes[total] = lines, share, passed
+                    total += 1
+        start = end
+    return members[:total].copy(), quality[:total].copy(), passes[:total].copy(), refused
+
+
+@njit(cache=True)
+def _refusal(lines: IntArray, points: FloatArray, share: FloatArray, limits: FloatArray) -> int:
+    """Why four lines in order are no projected rectangle, or _GOOD."""
+    side = np.empty((4, 2))
+    length = np.empty(4)
+    for s in range(4):
+        start = points[lines[(s + 3) % 4], lines[s]]
+        stop = points[lines[s], lines[(s + 1) % 4]]
+        side[s] = stop - start
+        length[s] = math.hypot(side[s, 0], side[s, 1])
+    turns = 0
+    for s in range(4):
+        n = (s + 1) % 4
+        turns += 1 if side[s, 0] * side[n, 1] - side[s, 1] * side[n, 0] > 0 else -1
+    if abs(turns) != 4:
+        return _CROSSED
+    for s in range(4):
+        n = (s + 1) % 4
+        cosine = abs(side[s, 0] * side[n, 0] + side[s, 1] * side[n, 1]) / (length[s] * length[n])
+        if cosine > limits[1]:
+            return _ANGLE
+    if share.min() < limits[2] or (share * length).sum() / length.sum() < limits[3]:
+        return _WEAK
+    return _GOOD
+
+
+@njit(cache=True)
+def _crossed(
+    lines: IntArray, along: FloatArray, cumulated: FloatArray, first: IntArray, count: IntArray,
+    begin: FloatArray,
+) -> tuple[int, int]:  # fmt: skip
+    """Corners past which both lines go on, and ends of sides past which the line goes on.
+
+    A rectangle's border ends at its corners, or on one of the two lines at least.
+    """
+    crossed, passed = 0, 0
+    for s in range(4):
+        i, j = lines[s], lines[(s + 1) % 4]
+        before, after = lines[(s + 3) % 4], lines[(s + 2) % 4]
+        out_i = 1.0 if along[i, j] > along[i, before] else -1.0
+        out_j = 1.0 if along[j, i] > along[j, after] else -1.0
+        past_i = _share(
+            i, along[i, j] + 3 * out_i, along[i, j] + 9 * out_i, cumulated, first, count, begin
+        )
+        past_j = _share(
+            j, along[j, i] + 3 * out_j, along[j, i] + 9 * out_j, cumulated, first, count, begin
+        )
+        if past_i > 0.6 and past_j > 0.6:
+            crossed += 1
+        passed += (past_i > 0.6) + (past_j > 0.6)
+    return crossed, passed
+
+
+@njit(cache=True)
+def distinct(corners: FloatArray, distance: float, most: int) -> IntArray:
+    """Indices of the first `most` quadrangles (k, 4, 2) that are no copy of an earlier one."""
+    kept = np.empty(most, dtype=np.int64)
+    total = 0
+    for index in range(len(corners)):
+        copy = False
+        for other in kept[:total]:
+            for shift in range(4):
+                same = True
+                for c in range(4):
+                    d = corners[index, c] - corners[other, (c + shift) % 4]
+                    if abs(d[0]) > distance or abs(d[1]) > distance:
+                        same = False
+                        break
+                if same:
+                    copy = True
+                    break
+            if copy:
+                break
+        if not copy:
+            kept[total] = index
+            total += 1
+            if total == most:
+                break
+    return kept[:total].copy()

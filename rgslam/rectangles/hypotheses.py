@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Quadrangles that four lines of an image form (paper, section III: hypotheses).
+
+Not all M^4 tuples are tried. Two lines make a corner where both nearly reach their intersection.
+A line with a corner at either end is an open "U"; two U's that share their arms close into a
+quadrangle. What no projected rectangle can be is refused and counted by reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rgslam.config import RectangleConfig
+from rgslam.rectangles.gradients import GradientImage
+from rgslam.rectangles.grouping import REASONS, Corners, close_quadrangles, distinct
+from rgslam.rectangles.line_segments import ImageLines
+from rgslam.rectangles.line_support import LineSupport, line_support
+from rgslam.rectangles.rejection import Rejection
+from rgslam.types import FloatArray, IntArray
+
+#: A line that goes on past a corner speaks against it as much as this share of the border unseen.
+PASS_COST = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Quadrangles:
+    """Hypotheses; corners run counter-clockwise as seen in the image (y down)."""
+
+    corners: FloatArray  # (k, 4, 2), px
+    covariances: FloatArray  # (k, 8, 8), px^2, of the corners' coordinates, from the line fits
+    lines: IntArray  # (k, 4), side s joins corners s and s + 1 and lies on this line
+    support: FloatArray  # (k, 4), share of each side on which the image has an edge
+    passes: IntArray  # (k,), of the eight ends of sides: past how many the line goes on
+    rejected: Mapping[Rejection, int]
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+    def take(self, index: IntArray) -> Quadrangles:
+        """Some of the hypotheses, in the order of the index."""
+        return Quadrangles(
+            self.corners[index],
+            self.covariances[index],
+            self.lines[index],
+            self.support[index],
+            self.passes[index],
+            self.rejected,
+        )
+
+
+def find_quadrangles(
+    lines: ImageLines, gradient: GradientImage, config: RectangleConfig
+) -> Quadrangles:
+    """Group lines into quadrangles, the best supported first."""
+    rejected: dict[Rejection, int] = {}
+    if len(lines) < 4:
+        rejected[Rejection.TOO_FEW_LINES] = 1
+        return _none(rejected)
+    support = line_support(lines, gradient, config)
+    corners = find_corners(lines, support, gradient.xy.shape[:2], config)
+    diagonal = math.hypot(*gradient.xy.shape[:2])
+    members, quality, passes, counts = close_quadrangles(corners, support, diagonal, config)
+    for reason, count in zip(REASONS, counts, strict=True):
+        rejected[reason] = rejected.get(reason, 0) + int(count)
+    if not len(members):
+        return _none(rejected)
+    found = _ranked(lines, corners, members, quality, passes, config)
+    rejected[Rejection.DUPLICATE] = len(members) - len(found.corners)
+    return replace(found, rejected=rejected)
+
+
+def _none(rejected: Mapping[Rejection, int]) -> Quadrangles:
+    empty = np.zeros((0, 4), dtype=np.int64)
+    return Quadrangles(
+        np.zeros((0, 4, 2)),
+        np.zeros((0, 8, 8)),
+        empty,
+        np.zeros((0, 4)),
+        np.zeros(0, np.int64),
+        rejected,
+    )
+
+
+def find_corners(
+    lines: ImageLines, support: LineSupport, shape: tuple[int, ...], config: RectangleConfig
+) -> Corners:
+    """Where each pair of lines meets, and whether both reach that point.
+
+    Args:
+        lines: n of them.
+        support: Of these lines.
+        shape: Height and width of the image, px.
+        config: Angle between sides and reach of a line beyond its ends.
+    """
+    normals, offsets = lines.normals, lines.offsets
+    sine = normals[:, None, 0] * normals[None, :, 1] - normals[:, None, 1] * normals[None, :, 0]
+    crossing = np.abs(sine) >= math.sin(math.radians(config.parallel_deg))
+    safe = np.where(crossing, sine, 1.0)
+    x = (normals[:, None, 1] * offsets[None] - normals[None, :, 1] * offsets[:, None]) / safe
+    y = (normals[None, :, 0] * offsets[:, None] - normals[:, None, 0] * offsets[None]) / safe
+    points = np.stack([x, y], axis=-1)
+    along = ((points - lines.midpoints[:, None]) * lines.directions[:, None]).sum(axis=-1)
+    reach = lines.lengths * (0.5 + config.corner_gap) + config.min_piece_px
+    near = np.abs(along) <= reach[:, None]
+    inside = (x >= 0) & (y >= 0) & (x <= shape[1] - 1) & (y <= shape[0] - 1)
+    return Corners(points, along, crossing & near & near.T & inside)
+
+
+def corners_of_lines(lines: ImageLines, members: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Corners of quadrangles and their covariance.
+
+    Args:
+        lines: All lines.
+        members: (k, 4), the lines of each quadrangle in the order around.
+
+    Returns:
+        Corners (k, 4, 2), corner s between lines s - 1 and s, and the covariance (k, 8, 8) of all
+        eight coordinates: neighbouring corners share a line and its error.
+    """
+    pair = np.stack([np.roll(members, 1, axis=1), members], axis=2)  # (k, 4, 2 lines)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = _inverse_2x2(lines.normals[pair])
+    corners = -np.einsum("ksij,ksj->ksi", inverse, lines.offsets[pair])
+    reach = ((corners[:, :, None] - lines.midpoints[pair]) * lines.directions[pair]).sum(axis=3)
+    # A line errs at the corner by offset + slope * distance from its midpoint.
+    slopes = np.zeros((len(members), 4, 2, 4, 2))
+    for s in range(4):
+        for which, line in ((0, (s - 1) % 4), (1, s)):
+            slopes[:, s, :, line, 0] = inverse[:, s, :, which]
+            slopes[:, s, :, line, 1] = inverse[:, s, :, which] * reach[:, s, which, None]
+    fits = lines.covariances[members]  # (k, 4, 2, 2)
+    by_line = slopes.reshape(len(members), 8, 4, 2)
+    half = np.stack([by_line[:, :, s] @ fits[:, s] for s in range(4)], axis=2)
+    flat = slopes.reshape(len(members), 8, 8)
+    covariance = half.reshape(len(members), 8, 8) @ flat.transpose(0, 2, 1)
+    return corners, 0.5 * (covariance + covariance.transpose(0, 2, 1))
+
+
+def _inverse_2x2(matrix: FloatArray) -> FloatArray:
+    a, b, c, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 0], matrix[..., 1, 1]
+    rows = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    return rows / (a * d - b * c)[..., None, None]
+
+
+def _ranked(
+    lines: ImageLines,
+    corners: Corners,
+    members: IntArray,
+    quality: FloatArray,
+    passes: IntArray,
+    config: RectangleConfig,
+) -> Quadrangles:
+    """Lines (k, 4) around -> the best hypotheses without copies, corners counter-clockwise."""
+    points = corners.points[np.roll(members, 1, axis=1), members]  # between sides s - 1 and s
+    order = np.argsort(-hypothesis_scores(points, quality, passes), kind="stable")
+    kept = order[distinct(points[order], config.double_px, config.max_hypotheses)]
+    points, members, quality = points[kept], members[kept], quality[kept]
+    side = np.roll(points, -1, axis=1) - points
+    # y points down: a positive cross product turns clockwise for the eye.
+    clockwise = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0] > 0
+    members = np.where(clockwise[:, None], members[:, ::-1], members)
+    quality = np.where(clockwise[:, None], quality[:, ::-1], quality)
+    points, covariances = corners_of_lines(lines, members)
+    return Quadrangles(points, covariances, members, quality, passes[kept], {})
+
+
+def hypothesis_scores(corners: FloatArray, support: FloatArray, passes: IntArray) -> FloatArray:
+    """What ranks hypotheses (k,): edges on the sides, ends at the corners, size as a tie-break."""
+    side = np.roll(corners, -1, axis=1) - corners
+    perimeter = np.linalg.norm(side, axis=2).sum(axis=1)
+    # The weakest side counts as much as the mean.
+    border = 0.5 * support.mean(axis=1) + 0.5 * support.min(axis=1)
+    return border - PASS_COST * passes + 0.02 * np.log(perimeter)

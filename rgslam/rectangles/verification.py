@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Does the right image agree that this is a rectangle? An answer as a probability.
+
+Two kinds of evidence are weighed against what chance would show: edges on the predicted sides,
+and how well one rectangle explains all corners in both images.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rgslam.config import RectangleConfig
+from rgslam.rectangles.gradients import GradientImage, edge_offsets
+from rgslam.rectangles.hypotheses import corners_of_lines
+from rgslam.rectangles.line_segments import refine_lines
+from rgslam.types import FloatArray, IntArray
+
+_SAMPLES = 16  # per side
+_REACH = 2.0  # px: an edge within 1.5 px of a side lies on it
+_EDGE_RUN = 8.0  # px of a side that have an edge, or none, together
+_SEEN = 0.9  # share of a true side that shows an edge
+_DECOYS = (-31.0, -17.0, 17.0, 31.0)  # px, shifts at which only chance puts edges on the sides
+_CHANCE_SPREAD = 4.0  # sigmas: corners of four lines that are no rectangle miss it by so much
+
+
+@dataclass(frozen=True, eq=False)
+class RightCorners:
+    """k quadrangles measured in the right image."""
+
+    corners: FloatArray  # (k, 4, 2), px
+    covariances: FloatArray  # (k, 8, 8), px^2
+    support: FloatArray  # (k, 4), share of each side with an edge
+    chance: FloatArray  # (k,), the same beside it, where the rectangle is not
+
+
+def measure_in_right(
+    predicted: FloatArray, right: GradientImage, config: RectangleConfig
+) -> RightCorners:
+    """Fit lines to the edges near predicted sides, intersect them to corners.
+
+    This is where textureless things get their disparity from: their border.
+
+    Args:
+        predicted: Corners (k, 4, 2), px, right image, to a few pixels.
+        right: Gradient of the right image.
+        config: Reach of the search, errors of edges.
+    """
+    count = len(predicted)
+    sides = np.stack([predicted, np.roll(predicted, -1, axis=1)], axis=2).reshape(-1, 2, 2)
+    lines = refine_lines(sides, right, config)
+    corners, covariances = corners_of_lines(lines, np.arange(4 * count).reshape(count, 4))
+    usable = np.isfinite(corners).all(axis=(1, 2))
+    # Lines that ran away from what was predicted follow something else.
+    usable &= np.abs(corners - predicted).max(axis=(1, 2)) <= 4.0 * config.refine_reach_px
+    corners = np.where(usable[:, None, None], corners, np.nan)
+    support = side_support(corners, right)
+    shifted = [side_support(corners + np.array([d, 0.0]), right).mean(axis=1) for d in _DECOYS]
+    return RightCorners(corners, covariances, support, np.mean(shifted, axis=0))
+
+
+def side_support(corners: FloatArray, gradient: GradientImage) -> FloatArray:
+    """Share (k, 4) of each side of quadrangles (k, 4, 2) on which the image has an edge."""
+    share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    side = np.roll(corners, -1, axis=1) - corners
+    points = corners[:, :, None] + share[:, None] * side[:, :, None]
+    across = np.stack([-side[..., 1], side[..., 0]], axis=-1)
+    across /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
+    flat = points.reshape(-1, _SAMPLES, 2)
+    found = edge_offsets(gradient, np.nan_to_num(flat, nan=-1e3), across.reshape(-1, 2), _REACH)
+    return (found.strength > 0).mean(axis=1).reshape(-1, 4)
+
+
+def rectangle_probability(
+    measured: RightCorners, costs: FloatArray, degrees: IntArray, config: RectangleConfig
+) -> FloatArray:
+    """Probability (k,) that the quadrangles are rectangles, after Bayes.
+
+    Args:
+        measured: In the right image.
+        costs: (k,), chi-square of the maximum-likelihood rectangle.
+        degrees: (k,), degrees of freedom of that.
+        config: Prior.
+    """
+    side = np.roll(measured.corners, -1, axis=1) - measured.corners
+    length = np.linalg.norm(side, axis=2)
+    runs = length.sum(axis=1) / _EDGE_RUN
+    share = (measured.support * length).sum(axis=1) / np.maximum(length.sum(axis=1), 1e-9)
+    chance = np.clip(measured.chance, 0.05, _SEEN - 0.05)
+    for_edges = share * np.log(_SEEN / chance)
+    against = (1 - share) * np.log((1 - _SEEN) / (1 - chance))
+    # A rectangle's residuals have unit spread, those of anything else a wider one.
+    fit = degrees * math.log(_CHANCE_SPREAD) - 0.5 * costs * (1 - _CHANCE_SPREAD**-2)
+    odds = math.log(config.prior / (1 - config.prior)) + runs * (for_edges + against) + fit
+    odds = np.where(np.isfinite(odds), np.clip(odds, -50.0, 50.0), -50.0)
+    return 1.0 / (1.0 + np.exp(-odds))
