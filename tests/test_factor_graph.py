@@ -37,7 +37,9 @@ def along(edges: list[PoseEdge]) -> FloatArray:
     return np.array(poses)
 
 
-def loop(truth: FloatArray, i: int, j: int, off: tuple[float, float, float] = (0, 0, 0)) -> PoseEdge:
+def loop(
+    truth: FloatArray, i: int, j: int, off: tuple[float, float, float] = (0, 0, 0)
+) -> PoseEdge:
     return PoseEdge(i, j, compose(between(truth[i], truth[j]), np.array(off)), LOOP, EdgeKind.LOOP)
 
 

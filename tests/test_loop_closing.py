@@ -179,7 +179,7 @@ def test_only_old_places_in_sight_are_searched() -> None:
     covariances = np.repeat(np.diag([0.1, 0.1, 0.01])[None] ** 2, 16, axis=0)
     (chunk,) = old_chunks(view, 15, np.arange(8, 16), covariances, CONFIG)
     assert set(chunk) == set(range(8))
-    far = MapView(view.store, view.poses + [0.0, 0.0, 0.0], view.path, 0.015, 5.0)
+    far = MapView(view.store, view.poses.copy(), view.path, 0.015, 5.0)
     far.poses[:8, 0] -= 50.0
     assert old_chunks(far, 15, np.arange(8, 16), covariances, CONFIG) == []
 

@@ -166,7 +166,7 @@ def brute_force(
     fine = surfels.levels[2].astype(float)
     best = 0.0
     for turn in turns:
-        w = transform_points(centre + [0.0, 0.0, turn], points)
+        w = transform_points(centre + np.array([0.0, 0.0, turn]), points)
         col_row = np.floor((w - surfels.origin) / surfels.resolution).astype(int)
         for dr in range(-cells, cells + 1):
             for dc in range(-cells, cells + 1):
@@ -249,7 +249,7 @@ def test_errors_are_as_large_as_the_information_says() -> None:
         match = register(*scan.surface, truth, surfels, NOISE, gate_schedule(0.1, NOISE))
         error = between(truth, match.wTb)
         squared.append(error @ match.information @ error)
-    # 120 samples of chi-square with 3 degrees of freedom: mean 3, 99.7 % below 3.7. Range noise acts
+    # 120 samples of chi-square with 3 degrees of freedom: mean 3, 99.7 % below 3.7. Range noise is
     # along the beam, which crosses a wall at 45 degrees with half the variance: 1.5 at least.
     assert 1.3 < np.mean(squared) < 3.7
 

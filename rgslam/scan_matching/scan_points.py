@@ -18,7 +18,7 @@ from numba import njit
 from rgslam.errors import RecordingError
 from rgslam.types import FloatArray, IntArray, LaserScan
 
-#: INVALID: no position. POINT: a lone return, nothing is known of what it lies on. SURFACE: on a wall
+#: INVALID: no position. POINT: a lone return, who knows on what. SURFACE: on a wall
 #: with a normal. EDGE: its neighbours are no straight wall (a corner, a frame, a leg).
 INVALID, POINT, SURFACE, EDGE = 0, 1, 2, 3
 
