@@ -37,7 +37,7 @@ from rgslam.types import FloatArray, IntArray
 
 _GreyImage = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
-_TOUCH = 0.1  # of the smaller area: what corners a pixel off make neighbours overlap by
+_TOUCH_PX = 2.0  # px by which neighbours may overlap: what corners are off at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,9 +215,7 @@ def _accept(
     rejected: Counter[Rejection],
 ) -> tuple[DetectedRectangle, ...]:
     section = config.rectangles
-    probability = rectangle_probability(
-        measured, estimates.costs, estimates.degrees_of_freedom, section
-    )
+    probability = rectangle_probability(measured, estimates.costs, quads.passes, section)
     sigma = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):
         vague = ~(sigma <= section.max_relative_sigma * estimates.sizes).all(axis=1)
@@ -262,24 +260,35 @@ def _without_rivals(corners: FloatArray, lines: IntArray, max_overlap: float) ->
     """
     kept: list[int] = []
     polygons = corners.astype(np.float32)
-    areas = [abs(cv2.contourArea(polygon)) for polygon in polygons]
     low, high = corners.min(axis=1), corners.max(axis=1)
     for i in range(len(corners)):
-        rival = False
-        for k in kept:
-            if (low[i] >= high[k]).any() or (low[k] >= high[i]).any():
-                continue
-            common = cv2.intersectConvexConvex(polygons[i], polygons[k])[0]
-            smaller = min(areas[i], areas[k])
-            same = common > max_overlap * (areas[i] + areas[k] - common)
-            partial = _TOUCH * smaller < common < (1 - _TOUCH) * smaller
-            shared = len(np.intersect1d(lines[i], lines[k])) >= 2 and common > _TOUCH * smaller
-            if same or partial or shared:
-                rival = True
-                break
-        if not rival:
+        near = (low[i] < high[kept]).all(axis=1) & (low[kept] < high[i]).all(axis=1)
+        rivals = (
+            _contradict(polygons[i], polygons[k], lines[i], lines[k], max_overlap)
+            for k in np.array(kept, dtype=np.int64)[near]
+        )
+        if not any(rivals):
             kept.append(i)
     return np.array(kept, dtype=np.int64)
+
+
+def _contradict(
+    one: npt.NDArray[np.float32],
+    other: npt.NDArray[np.float32],
+    its_lines: IntArray,
+    other_lines: IntArray,
+    max_overlap: float,
+) -> bool:
+    common = cv2.intersectConvexConvex(one, other)[0]
+    areas = sorted((abs(cv2.contourArea(one)), abs(cv2.contourArea(other))))
+    if common > max_overlap * (areas[0] + areas[1] - common):
+        return True
+    small, large = (one, other) if abs(cv2.contourArea(one)) == areas[0] else (other, one)
+    if common <= 0.5 * _TOUCH_PX * cv2.arcLength(small, True):
+        return False  # beside each other
+    inside = [cv2.pointPolygonTest(large, point.tolist(), True) for point in small]
+    shared = len(np.intersect1d(its_lines, other_lines)) >= 2
+    return shared or min(inside) < -_TOUCH_PX
 
 
 def _rectangle(

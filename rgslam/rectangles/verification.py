@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Does the right image agree that this is a rectangle? An answer as a probability.
 
-Two kinds of evidence are weighed against what chance would show: edges on the predicted sides,
-and how well one rectangle explains all corners in both images.
+Two questions, answered by Bayes and multiplied. Is this the right place in the right image? Edges on
+the predicted sides say so, against as many as chance puts there. Are the four lines the border of
+one rectangle, or of several things? The residual of the rectangle fitted to the corners of both
+images says so, and whether the lines end at the corners.
 """
 
 from __future__ import annotations
@@ -24,7 +26,12 @@ _REACH = 2.0  # px: an edge within 1.5 px of a side lies on it
 _EDGE_RUN = 8.0  # px of a side that have an edge, or none, together
 _SEEN = 0.9  # share of a true side that shows an edge
 _DECOYS = (-31.0, -17.0, 17.0, 31.0)  # px, shifts at which only chance puts edges on the sides
-_CHANCE_SPREAD = 4.0  # sigmas: corners of four lines that are no rectangle miss it by so much
+# Four lines that are no rectangle miss one by 10 sigmas or so, in the four of the eight degrees of
+# freedom that are no matter of rows (one for the plane, three for parallels and right angle).
+_CHANCE_SPREAD, _SHAPE_DEGREES = 10.0, 4
+# Share of ends of sides past which the line goes on: on true rectangles, as a door's jamb that meets
+# the floor line, and on lines that cross by chance.
+_GOES_ON, _GOES_ON_BY_CHANCE = 0.15, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +82,14 @@ def side_support(corners: FloatArray, gradient: GradientImage) -> FloatArray:
 
 
 def rectangle_probability(
-    measured: RightCorners, costs: FloatArray, degrees: IntArray, config: RectangleConfig
+    measured: RightCorners, costs: FloatArray, passes: IntArray, config: RectangleConfig
 ) -> FloatArray:
-    """Probability (k,) that the quadrangles are rectangles, after Bayes.
+    """Probability (k,) that the quadrangles are rectangles, and matched rightly.
 
     Args:
         measured: In the right image.
         costs: (k,), chi-square of the maximum-likelihood rectangle.
-        degrees: (k,), degrees of freedom of that.
+        passes: (k,), of the eight ends of sides, those past which the line goes on.
         config: Prior.
     """
     side = np.roll(measured.corners, -1, axis=1) - measured.corners
@@ -90,10 +97,16 @@ def rectangle_probability(
     runs = length.sum(axis=1) / _EDGE_RUN
     share = (measured.support * length).sum(axis=1) / np.maximum(length.sum(axis=1), 1e-9)
     chance = np.clip(measured.chance, 0.05, _SEEN - 0.05)
-    for_edges = share * np.log(_SEEN / chance)
-    against = (1 - share) * np.log((1 - _SEEN) / (1 - chance))
+    edges = share * np.log(_SEEN / chance) + (1 - share) * np.log((1 - _SEEN) / (1 - chance))
     # A rectangle's residuals have unit spread, those of anything else a wider one.
-    fit = degrees * math.log(_CHANCE_SPREAD) - 0.5 * costs * (1 - _CHANCE_SPREAD**-2)
-    odds = math.log(config.prior / (1 - config.prior)) + runs * (for_edges + against) + fit
-    odds = np.where(np.isfinite(odds), np.clip(odds, -50.0, 50.0), -50.0)
-    return 1.0 / (1.0 + np.exp(-odds))
+    fit = _SHAPE_DEGREES * math.log(_CHANCE_SPREAD) - 0.5 * costs * (1 - _CHANCE_SPREAD**-2)
+    ends = passes * math.log(_GOES_ON / _GOES_ON_BY_CHANCE)
+    ends = ends + (8 - passes) * math.log((1 - _GOES_ON) / (1 - _GOES_ON_BY_CHANCE))
+    prior = math.log(config.prior / (1 - config.prior))
+    return _logistic(prior + runs * edges) * _logistic(prior + fit + ends)
+
+
+def _logistic(log_odds: FloatArray) -> FloatArray:
+    """Probability of log odds; 0 where there are none."""
+    known = np.nan_to_num(log_odds, nan=-50.0, neginf=-50.0, posinf=50.0)
+    return 1.0 / (1.0 + np.exp(-np.clip(known, -50.0, 50.0)))
