@@ -43,6 +43,10 @@ datasets_app = typer.Typer(
     help="Public recordings and plans.", no_args_is_help=True, rich_markup_mode=None
 )
 app.add_typer(datasets_app, name="datasets")
+experiment_app = typer.Typer(
+    help="The paper's experiments.", no_args_is_help=True, rich_markup_mode=None
+)
+app.add_typer(experiment_app, name="experiment")
 
 
 def main() -> None:
@@ -297,3 +301,90 @@ def fetch_dataset_command(
 
     for path in fetch_dataset(name, folder, catalogue):
         typer.echo(str(path))
+
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@experiment_app.command("discretization")
+@_stoppable
+def discretization_experiment(
+    step: Annotated[
+        float, typer.Option("--step", min=1.0, max=360.0, help="Degrees between poses.")
+    ] = 36.0,
+    as_json: AsJson = False,
+) -> None:
+    """Reconstruct rectangles from corners in whole pixels, in 1000 poses.
+
+    \b
+    Example:
+      rgslam experiment discretization --json
+    """
+    from rgslam.experiments import run_discretization
+    from rgslam.experiments.tables import print_discretization
+
+    result = run_discretization(_step(step))
+    _print_json(result.to_dict()) if as_json else print_discretization(result)
+
+
+@experiment_app.command("rules")
+@_stoppable
+def rules_experiment(
+    step: Annotated[
+        float, typer.Option("--step", min=1.0, max=360.0, help="Degrees between poses.")
+    ] = 9.0,
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", help="Learn the prediction table too and write it to this file."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Learn from 64,000 poses which quadrangles can be reconstructed.
+
+    Needs scikit-learn: pip install 'rgslam[experiments]'.
+
+    \b
+    Example:
+      rgslam experiment rules --json
+    """
+    from rgslam.experiments import learn_prediction_tables, run_rules
+    from rgslam.experiments.tables import print_rules
+    from rgslam.rectangles.prediction import write_tables
+
+    result = run_rules(_step(step))
+    _print_json(result.to_dict()) if as_json else print_rules(result)
+    if table is not None:
+        write_tables(learn_prediction_tables(), table)
+
+
+@experiment_app.command("depth-noise")
+@_stoppable
+def depth_noise_experiment(
+    draws: Annotated[
+        int, typer.Option("--draws", min=1, help="Draws of the noise per object and place.")
+    ] = 1000,
+    as_json: AsJson = False,
+) -> None:
+    """Reconstruct the paper's doors, board and monitor from noisy stereo.
+
+    \b
+    Example:
+      rgslam experiment depth-noise --json
+    """
+    from rgslam.experiments import run_depth_noise
+    from rgslam.experiments.tables import print_depth_noise
+
+    result = run_depth_noise(draws)
+    _print_json(result.to_dict()) if as_json else print_depth_noise(result)
+
+
+def _step(degrees: float) -> float:
+    if abs(360.0 / degrees - round(360.0 / degrees)) > 1e-9:
+        raise typer.BadParameter(f"{degrees:g} does not divide 360", param_hint="--step")
+    return degrees
+
+
+def _print_json(content: dict[str, object]) -> None:
+    import json
+
+    typer.echo(json.dumps(content, indent=2))

@@ -37,3 +37,7 @@ class WorldError(RgslamError):
 
 class CalibrationError(RgslamError):
     """The calibration of a camera cannot be read or describes no camera."""
+
+
+class MissingExtraError(RgslamError):
+    """An optional dependency is needed and not installed."""

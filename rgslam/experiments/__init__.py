@@ -1,0 +1,17 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The paper's experiments (section IV), with maximum likelihood beside the closed form."""
+
+from rgslam.experiments.depth_noise import DepthNoiseResult, run_depth_noise
+from rgslam.experiments.discretization import DiscretizationResult, run_discretization
+from rgslam.experiments.rules import RulesResult, learn_prediction_tables, run_rules
+
+__all__ = [
+    "DepthNoiseResult",
+    "DiscretizationResult",
+    "RulesResult",
+    "learn_prediction_tables",
+    "run_depth_noise",
+    "run_discretization",
+    "run_rules",
+]

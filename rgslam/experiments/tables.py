@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Results of experiments as tables for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from rgslam.experiments.depth_noise import DepthNoiseResult, DepthNoiseRow
+from rgslam.experiments.discretization import DiscretizationResult
+from rgslam.experiments.rules import (
+    PAPER_FALSE_ABOVE,
+    PAPER_FALSE_ACCURACY,
+    PAPER_TRUE_ACCURACY,
+    PAPER_TRUE_BELOW,
+    RulesResult,
+)
+
+
+def print_discretization(result: DiscretizationResult, console: Console | None = None) -> None:
+    """Print closed form and maximum likelihood side by side."""
+    rows = [
+        [
+            f"{100 * row.width:g} x {100 * row.height:g}",
+            row.corners,
+            row.method,
+            str(row.not_reconstructable),
+            str(row.below_10cm),
+            str(row.below_5cm),
+            f"{row.median_cm:.1f}",
+        ]
+        for row in result.rows()
+    ]
+    poses = result.rows()[0].poses if rows else 0
+    _print(
+        console,
+        f"Largest corner error, {poses} poses 4 m away in steps of {result.step_deg:g} degrees",
+        ["size cm", "corners", "method", "failed", "< 10 cm", "< 5 cm", "median cm"],
+        rows,
+    )
+
+
+def print_rules(result: RulesResult, console: Console | None = None) -> None:
+    """Print what share succeeds, the learned rules and the paper's."""
+    _print(
+        console,
+        f"Share of {result.poses} poses, corners in whole pixels",
+        ["method", "not reconstructable %", "< 10 cm %", "< 5 cm %"],
+        [
+            [method, *(f"{100 * share[method]:.1f}" for share in _shares(result))]
+            for method in result.not_reconstructable
+        ],
+    )
+    _print(
+        console,
+        "Learned rules on the sum of angle deviations",
+        ["method", "question", "angle sum", "answer", "right %", "poses"],
+        [
+            [
+                rule.method,
+                rule.question,
+                f"{max(rule.above_deg, 0.0):.1f} – {min(rule.up_to_deg, 360.0):.1f}",
+                "yes" if rule.holds else "no",
+                f"{100 * rule.accuracy:.1f}",
+                str(rule.samples),
+            ]
+            for rule in result.rows()
+        ],
+    )
+    _print(
+        console,
+        "The paper's rules on these poses, closed form",
+        ["rule", "paper %", "here %"],
+        [
+            [
+                f"up to {PAPER_TRUE_BELOW}: reconstructable",
+                f"{100 * PAPER_TRUE_ACCURACY:.1f}",
+                f"{100 * result.paper_true_accuracy:.1f}",
+            ],
+            [
+                f"above {PAPER_FALSE_ABOVE}: not reconstructable",
+                f"{100 * PAPER_FALSE_ACCURACY:.1f}",
+                f"{100 * result.paper_false_accuracy:.1f}",
+            ],
+        ],
+    )
+
+
+def print_depth_noise(result: DepthNoiseResult, console: Console | None = None) -> None:
+    """Print size errors per object, place and method, and the paper's Table I."""
+    _print(
+        console,
+        f"Size found minus true size (cm), corners ± {result.sigma_px:g} px in both images",
+        ["object", "m", "deg", "method", "width", "height", "stated ±", "corner", "NEES / 8"],
+        [_depth_noise_cells(row) for row in result.rows()],
+    )
+    low, high = result.nees_band
+    _print(
+        console,
+        f"Paper, Table I (cm); the NEES / 8 of right covariances lies in {low:.2f} – {high:.2f}",
+        ["object", "true", "reconstructed", "off"],
+        [
+            [
+                row.name,
+                "{:g} x {:g}".format(*row.original_cm),
+                "{:g} x {:g}".format(*row.reconstructed_cm),
+                " / ".join(
+                    f"{found - true:+.1f}"
+                    for found, true in zip(row.reconstructed_cm, row.original_cm, strict=True)
+                ),
+            ]
+            for row in result.paper
+        ],
+    )
+
+
+def _shares(result: RulesResult) -> list[dict[str, float]]:
+    return [result.not_reconstructable, result.below_10cm, result.below_5cm]
+
+
+def _depth_noise_cells(row: DepthNoiseRow) -> list[str]:
+    stated = nees = ""
+    if row.nees is not None and row.stated_width_sigma_cm is not None:
+        stated = f"{row.stated_width_sigma_cm:.2f} / {row.stated_height_sigma_cm:.2f}"
+        nees = f"{row.nees:.2f}"
+    return [
+        row.object,
+        f"{row.distance:g}",
+        f"{row.angle_deg:g}",
+        row.method,
+        f"{row.width_bias_cm:+.2f} ± {row.width_sigma_cm:.2f}",
+        f"{row.height_bias_cm:+.2f} ± {row.height_sigma_cm:.2f}",
+        stated,
+        f"{row.corner_cm:.1f}",
+        nees,
+    ]
+
+
+def _print(
+    console: Console | None, title: str, columns: Sequence[str], rows: list[list[str]]
+) -> None:
+    table = Table(title=title, title_justify="left")
+    texts = {"size cm", "corners", "method", "question", "object", "rule", "answer"}
+    for column in columns:
+        table.add_column(column, justify="left" if column in texts else "right")
+    for row in rows:
+        table.add_row(*row)
+    (console or Console()).print(table)
