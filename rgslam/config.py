@@ -134,6 +134,7 @@ class RectangleConfig(StageConfig):
     # Line segments
     min_piece_px: float = Field(6.0, ge=2.0)  # px; shorter edges have no direction to speak of
     merge_offset_px: float = Field(1.2, gt=0.0)  # px, the detector's own error at a segment's end
+    merge_bend_px: float = Field(2.0, gt=0.0)  # px by which an edge in one piece may be bent
     merge_angle_deg: float = Field(8.0, gt=0.0, lt=45.0)  # between pieces of one edge
     merge_gap: float = Field(0.3, ge=0.0)  # bridged gap relative to the longer piece
     min_side: float = Field(0.025, gt=0.0)  # shortest side relative to the image's diagonal
@@ -153,7 +154,7 @@ class RectangleConfig(StageConfig):
     max_disparity: float = Field(0.4, gt=0.0, le=1.0)
     max_hypotheses: int = Field(400, ge=1)  # the best; each takes 30 us
     # Shape and verification
-    corner_sigma_px: float = Field(0.25, gt=0.0)  # rest of lens and rectification, bent objects
+    corner_sigma_px: float = Field(0.4, gt=0.0)  # rest of lens and rectification, bent objects
     shape_sigmas: float = Field(4.0, gt=0.0)  # of the right angle, before depth is asked for
     min_similarity: float = Field(0.3, ge=-1.0, le=1.0)  # of the borders in both images
     max_relative_sigma: float = Field(0.25, gt=0.0)  # of width and height

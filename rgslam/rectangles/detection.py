@@ -243,11 +243,10 @@ def _ranks(quads: Quadrangles, measured: RightCorners, probability: FloatArray) 
     perimeter = np.linalg.norm(side, axis=2).sum(axis=1)
     border = np.minimum(quads.support, measured.support)
     return (
-        0.5 * border.mean(axis=1)
-        + 0.5 * border.min(axis=1)
+        border.mean(axis=1)
         + 0.2 * probability
-        - PASS_COST * quads.passes
-        + 0.05 * np.log(perimeter)
+        - 2.0 * PASS_COST * quads.passes
+        + 0.1 * np.log(perimeter)
     )
 
 

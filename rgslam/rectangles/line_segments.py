@@ -96,7 +96,7 @@ def merge_collinear(pieces: FloatArray, config: RectangleConfig) -> FloatArray:
         if len(group) > 1:
             segment, deviation = _hull(pieces[group])
             # A chain of links may follow an arc: then its pieces stay apart.
-            straight = deviation <= 1.5 * config.merge_offset_px
+            straight = deviation <= config.merge_bend_px
             merged.extend([segment] if straight else list(pieces[group]))
     return np.array(merged)
 
@@ -119,13 +119,16 @@ def _continuations(
     longer = (length[:, None] > length) | (
         (length[:, None] == length) & np.tri(len(pieces), k=-1).astype(bool).T
     )
-    i, j = np.nonzero(turn & longer & (np.abs(beside) <= config.merge_offset_px))
+    i, j = np.nonzero(turn & longer & (np.abs(beside) <= config.merge_bend_px))
     relative = pieces[j] - pieces[i, :1]  # (pair, end, xy)
     u = (relative * along[i, None]).sum(axis=2)
     v = (relative * across[i, None]).sum(axis=2)
     gap = np.maximum(u.min(axis=1) - length[i], -u.max(axis=1))
     reach = np.minimum(config.merge_gap * length[i], 2.0 * length[j]) + config.min_piece_px
-    good = (np.abs(v).max(axis=1) <= config.merge_offset_px) & (gap <= reach)
+    # One behind the other they may be a bent edge; side by side they are two edges of a thin bar.
+    behind = gap >= -config.min_piece_px
+    allowed = np.where(behind, config.merge_bend_px, config.merge_offset_px)
+    good = (np.abs(v).max(axis=1) <= allowed) & (gap <= reach)
     return i[good], j[good]
 
 
