@@ -202,6 +202,51 @@ def segment(
 
 @app.command()
 @_stoppable
+def rectangles(
+    left: Annotated[Path, typer.Argument(metavar="LEFT", help="Image of the left camera.")],
+    right: Annotated[Path, typer.Argument(metavar="RIGHT", help="Image of the right camera.")],
+    calibration: Annotated[
+        list[Path],
+        typer.Option(
+            "--calibration",
+            help="OpenCV YAML or XML, Middlebury calib.txt, or ROS CameraInfo YAML (give it twice, "
+            "left then right).",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write the two files into.")],
+    unit: Annotated[
+        float | None,
+        typer.Option("--unit", help="Metres per unit of the calibration, if it is not metres."),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="YAML file; what it leaves out is default.")
+    ] = None,
+) -> None:
+    """Find the rectangles of one stereo pair, with pose, size and covariance.
+
+    Writes rectangles.json and overlay.png.
+
+    \b
+    Example:
+      rgslam rectangles left.png right.png --calibration stereo.yml --out out/pair
+    """
+    from rgslam.config import Config
+    from rgslam.rectangles.pair_files import detect_in_files, write_pair_result
+
+    settings = None if config is None else Config.from_yaml(config)
+    result = detect_in_files(left, right, calibration, unit, settings)
+    write_pair_result(result, out)
+    for index, found in enumerate(result.detection.rectangles):
+        size, sigma = 100.0 * found.size, 100.0 * found.size_sigma
+        typer.echo(
+            f"{index}: {size[0]:.1f} ± {sigma[0]:.1f} × {size[1]:.1f} ± {sigma[1]:.1f} cm, "
+            f"{found.translation[2]:.2f} m away, probability {found.probability:.2f}"
+        )
+    typer.echo(f"{len(result.detection.rectangles)} rectangles written to {out}")
+
+
+@app.command()
+@_stoppable
 def evaluate(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Map folder.")],
     relations: Annotated[

@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One stereo pair from files to files: what `rgslam rectangles` does."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from rgslam.config import Config
+from rgslam.errors import MapError, RecordingError
+from rgslam.rectangles.detection import DetectedRectangle, Detection, detect_rectangles
+from rgslam.rectangles.overlay import draw_overlay
+from rgslam.stereo.calibration import StereoCalibration, read_calibration
+from rgslam.stereo.rectification import rectification_maps, rectify_pair
+
+JSON_NAME, OVERLAY_NAME = "rectangles.json", "overlay.png"
+
+
+@dataclass(frozen=True, eq=False)
+class PairResult:
+    """A detection with what is needed to write it."""
+
+    detection: Detection
+    calibration: StereoCalibration
+    left: npt.NDArray[np.uint8]  # (height, width), rectified
+
+
+def detect_in_files(
+    left: Path | str,
+    right: Path | str,
+    calibration: Path | str | Sequence[Path | str],
+    unit_m: float | None = None,
+    config: Config | None = None,
+) -> PairResult:
+    """Read a stereo pair, rectify it, find its rectangles.
+
+    Args:
+        left: Image file of the left camera.
+        right: The same of the right camera.
+        calibration: See `rgslam.stereo.read_calibration`.
+        unit_m: Length of the calibration's unit in metres.
+        config: Sections `stereo` and `rectangles`.
+
+    Raises:
+        RecordingError: an image cannot be read.
+        CalibrationError: the calibration cannot be used, or is for images of another size.
+    """
+    known = read_calibration(calibration, unit_m)
+    maps = rectification_maps(known)
+    images = rectify_pair(_read_grey(Path(left)), _read_grey(Path(right)), maps)
+    found = detect_rectangles(*images, known.camera, config, maps.valid)
+    return PairResult(found, known, images[0])
+
+
+def _read_grey(path: Path) -> npt.NDArray[np.uint8]:
+    try:
+        content = np.frombuffer(path.read_bytes(), np.uint8)
+        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
+    except (OSError, cv2.error) as error:
+        raise RecordingError(f"{path}: {error}") from error
+    if image is None:
+        raise RecordingError(f"{path}: not an image that can be read")
+    return np.asarray(image, np.uint8)
+
+
+def rectangles_json(result: PairResult) -> dict[str, Any]:
+    """All that is known of the pair, for `rectangles.json`; metres and pixels."""
+    return {
+        "format": "rgslam/rectangles",
+        "version": 1,
+        "frame": "left rectified camera: x right, y down, z forward",
+        "camera": asdict(result.calibration.camera),
+        "recorded_to_rectified": result.calibration.left.rotation.tolist(),
+        "calibration": result.calibration.source,
+        "rectangles": [_entry(i, r) for i, r in enumerate(result.detection.rectangles)],
+        "lines": result.detection.line_count,
+        "rejected": {why.name.lower(): n for why, n in _counts(result.detection)},
+    }
+
+
+def _counts(detection: Detection) -> list[tuple[Any, int]]:
+    return sorted(detection.rejected.items(), key=lambda item: item[0].name)
+
+
+def _entry(index: int, rectangle: DetectedRectangle) -> dict[str, Any]:
+    return {
+        "id": index,
+        "pose": {
+            "position": rectangle.translation.tolist(),
+            "quaternion_xyzw": Rotation.from_matrix(rectangle.rotation).as_quat().tolist(),
+        },
+        "normal": rectangle.normal.tolist(),
+        "size": rectangle.size.tolist(),
+        "size_sigma": rectangle.size_sigma.tolist(),
+        "corners": rectangle.corners.tolist(),
+        "covariance": rectangle.covariance.tolist(),
+        "corner_covariances": rectangle.corner_covariances.tolist(),
+        "corners_px_left": rectangle.left_px.tolist(),
+        "corners_px_right": rectangle.right_px.tolist(),
+        "probability": rectangle.probability,
+        "chi_square": rectangle.cost,
+    }
+
+
+def write_pair_result(result: PairResult, folder: Path | str) -> tuple[Path, Path]:
+    """Write `rectangles.json` and `overlay.png`; each appears whole or not at all.
+
+    Raises:
+        MapError: the machine refuses (full disk, no rights, a file in the way).
+    """
+    overlay = draw_overlay(result.left, result.detection.rectangles, result.calibration.camera)
+    text = json.dumps(rectangles_json(result), indent=1) + "\n"
+    contents = {
+        JSON_NAME: text.encode(),
+        OVERLAY_NAME: cv2.imencode(".png", overlay)[1].tobytes(),
+    }
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for name, content in contents.items():
+            scratch = target / f".{name}.{uuid.uuid4().hex[:8]}"
+            try:
+                scratch.write_bytes(content)
+                scratch.replace(target / name)
+            finally:
+                scratch.unlink(missing_ok=True)
+    except OSError as error:
+        raise MapError(f"{folder}: cannot write: {error}") from error
+    return target / JSON_NAME, target / OVERLAY_NAME
