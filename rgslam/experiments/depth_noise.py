@@ -48,7 +48,7 @@ PAPER_TABLE = (
 
 DISTANCES = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0)  # m, of the centre
 ANGLES_DEG = (0.0, 30.0, 60.0, 75.0)  # between normal and line of sight
-METHODS = ("closed form, one corner", "closed form, four corners", "maximum likelihood")
+METHODS = ("closed form, 1 corner", "closed form, 4 corners", "maximum likelihood")
 
 
 @dataclass(frozen=True)
