@@ -152,10 +152,13 @@ class RectangleConfig(StageConfig):
     double_px: float = Field(2.0, ge=0.0)  # hypotheses whose corners are this close are one
     # Share of the width, largest shift of a rectangle between the images that is searched.
     max_disparity: float = Field(0.4, gt=0.0, le=1.0)
-    max_hypotheses: int = Field(400, ge=1)  # the best; each takes 30 us
+    max_hypotheses: int = Field(250, ge=1)  # the best; each takes 0.2 ms to verify
     # Shape and verification
     corner_sigma_px: float = Field(0.4, gt=0.0)  # rest of lens and rectification, bent objects
     shape_sigmas: float = Field(4.0, gt=0.0)  # of the right angle, before depth is asked for
+    # One image alone: ends of sides past which a line goes on, and how well directions are known.
+    max_passes: int = Field(1, ge=0, le=8)
+    max_direction_sigma_deg: float = Field(2.0, gt=0.0)
     min_similarity: float = Field(0.3, ge=-1.0, le=1.0)  # of the borders in both images
     max_relative_sigma: float = Field(0.25, gt=0.0)  # of width and height
     prior: float = Field(0.1, gt=0.0, lt=1.0)  # share of hypotheses that are rectangles

@@ -232,62 +232,50 @@ def _accept(
         good &= ~failed
     rank = _ranks(quads, measured, probability)
     order = np.flatnonzero(good)[np.argsort(-rank[good], kind="stable")]
-    kept = _without_rivals(quads.corners[order], quads.lines[order], section.max_overlap)
+    kept = _without_rivals(quads.take(order), section.max_overlap)
     rejected[Rejection.DUPLICATE] += len(order) - len(kept)
     return tuple(_rectangle(int(i), quads, measured, estimates, probability) for i in order[kept])
 
 
 def _ranks(quads: Quadrangles, measured: RightCorners, probability: FloatArray) -> FloatArray:
-    """Who explains an overlap better: edges in both images, ends at corners, then size."""
-    side = np.roll(quads.corners, -1, axis=1) - quads.corners
-    perimeter = np.linalg.norm(side, axis=2).sum(axis=1)
+    """Who explains an overlap better (k,): edges in both images, borders that end at corners."""
     border = np.minimum(quads.support, measured.support)
-    return (
-        border.mean(axis=1)
-        + 0.2 * probability
-        - 2.0 * PASS_COST * quads.passes
-        + 0.1 * np.log(perimeter)
-    )
+    return border.mean(axis=1) + 0.2 * probability - 2.0 * PASS_COST * quads.passes
 
 
-def _without_rivals(corners: FloatArray, lines: IntArray, max_overlap: float) -> IntArray:
-    """Indices of quadrangles that do not contradict a better one (they come best first).
-
-    Two rectangles whose borders are seen whole lie apart or one within the other: a partial overlap
-    would hide a border. Two that nearly coincide, or share two lines and overlap, read the same
-    border in two ways.
-    """
+def _without_rivals(quads: Quadrangles, max_overlap: float) -> IntArray:
+    """Indices of quadrangles that do not contradict a better one (they come best first)."""
     kept: list[int] = []
-    polygons = corners.astype(np.float32)
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    for i in range(len(corners)):
+    low, high = quads.corners.min(axis=1), quads.corners.max(axis=1)
+    for i in range(len(quads)):
         near = (low[i] < high[kept]).all(axis=1) & (low[kept] < high[i]).all(axis=1)
-        rivals = (
-            _contradict(polygons[i], polygons[k], lines[i], lines[k], max_overlap)
-            for k in np.array(kept, dtype=np.int64)[near]
-        )
-        if not any(rivals):
+        others = np.array(kept, dtype=np.int64)[near]
+        if not any(_contradict(quads, i, int(k), max_overlap) for k in others):
             kept.append(i)
     return np.array(kept, dtype=np.int64)
 
 
-def _contradict(
-    one: npt.NDArray[np.float32],
-    other: npt.NDArray[np.float32],
-    its_lines: IntArray,
-    other_lines: IntArray,
-    max_overlap: float,
-) -> bool:
+def _contradict(quads: Quadrangles, later: int, better: int, max_overlap: float) -> bool:
+    """Whether two quadrangles cannot both be borders.
+
+    Two rectangles whose borders are seen whole lie apart or one within the other: a partial overlap
+    would hide a border. Two that nearly coincide read the same border in two ways. So do two that
+    share lines, but for a part of the better one with an end to its own border, as a pane has.
+    """
+    one, other = (quads.corners[i].astype(np.float32) for i in (later, better))
+    areas = abs(cv2.contourArea(one)), abs(cv2.contourArea(other))
     common = cv2.intersectConvexConvex(one, other)[0]
-    areas = sorted((abs(cv2.contourArea(one)), abs(cv2.contourArea(other))))
-    if common > max_overlap * (areas[0] + areas[1] - common):
+    if common > max_overlap * (sum(areas) - common):
         return True
-    small, large = (one, other) if abs(cv2.contourArea(one)) == areas[0] else (other, one)
+    small, large = (one, other) if areas[0] < areas[1] else (other, one)
     if common <= 0.5 * _TOUCH_PX * cv2.arcLength(small, True):
         return False  # beside each other
     inside = [cv2.pointPolygonTest(large, point.tolist(), True) for point in small]
-    shared = len(np.intersect1d(its_lines, other_lines)) >= 2
-    return shared or min(inside) < -_TOUCH_PX
+    if min(inside) < -_TOUCH_PX:
+        return True
+    shared = len(np.intersect1d(quads.lines[later], quads.lines[better])) >= 2
+    part = areas[0] < areas[1] and quads.passes[later] <= 1
+    return shared and not part
 
 
 def _rectangle(

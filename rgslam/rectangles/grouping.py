@@ -236,10 +236,18 @@ def _crossed(
 def distinct(corners: FloatArray, distance: float, most: int) -> IntArray:
     """Indices of the first `most` quadrangles (k, 4, 2) that are no copy of an earlier one."""
     kept = np.empty(most, dtype=np.int64)
+    middle = np.empty((len(corners), 2))
     total = 0
     for index in range(len(corners)):
         copy = False
+        middle[index, 0] = corners[index, :, 0].mean()
+        middle[index, 1] = corners[index, :, 1].mean()
         for other in kept[:total]:
+            if (
+                abs(middle[index, 0] - middle[other, 0]) > distance
+                or abs(middle[index, 1] - middle[other, 1]) > distance
+            ):
+                continue
             for shift in range(4):
                 same = True
                 for c in range(4):

@@ -24,7 +24,7 @@ from rgslam.types import FloatArray
 
 _GreyImage = npt.NDArray[np.uint8]
 _LEAST_SEEN = 0.25  # share of the profiles with an edge that make a fit
-_SAMPLES = 64  # profiles across each line: one every 4 px, their correlation, on 256 px
+_SAMPLES = 48  # profiles across each line: one every 4 px, their correlation, on 192 px
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from rgslam.rectangles.gradients import GradientImage, edge_offsets
 from rgslam.rectangles.line_segments import ImageLines
 from rgslam.types import FloatArray, IntArray
 
-STEP = 1.0  # px between samples
+STEP = 2.0  # px between samples: neighbouring ones see the same edge
 _REACH = 2.0  # px: an edge whose maximum is within 1.5 px of the line lies on it
 
 _SAME_EDGE = 0.2  # an edge changes its contrast with what is behind it, but hardly more than this

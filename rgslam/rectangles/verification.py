@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Does the right image agree that this is a rectangle? An answer as a probability.
 
-Two questions, answered by Bayes and multiplied. Is this the right place in the right image? Edges on
-the predicted sides say so, against as many as chance puts there. Are the four lines the border of
-one rectangle, or of several things? The residual of the rectangle fitted to the corners of both
+Two questions, answered by Bayes and multiplied. Is this the right place in the right image? Edges
+on the predicted sides say so, against as many as chance puts there. Are the four lines the border
+of one rectangle, or of several things? The residual of the rectangle fitted to the corners of both
 images says so, and whether the lines end at the corners.
 """
 
@@ -25,12 +25,12 @@ _SAMPLES = 16  # per side
 _REACH = 2.0  # px: an edge within 1.5 px of a side lies on it
 _EDGE_RUN = 8.0  # px of a side that have an edge, or none, together
 _SEEN = 0.9  # share of a true side that shows an edge
-_DECOYS = (-31.0, -17.0, 17.0, 31.0)  # px, shifts at which only chance puts edges on the sides
+_DECOYS = (-23.0, 23.0)  # px, shifts at which only chance puts edges on the sides
 # Four lines that are no rectangle miss one by 10 sigmas or so, in the four of the eight degrees of
 # freedom that are no matter of rows (one for the plane, three for parallels and right angle).
 _CHANCE_SPREAD, _SHAPE_DEGREES = 10.0, 4
-# Share of ends of sides past which the line goes on: on true rectangles, as a door's jamb that meets
-# the floor line, and on lines that cross by chance.
+# Share of ends of sides past which the line goes on: on true rectangles, as where a door's jamb
+# meets the floor line, and on lines that cross by chance.
 _GOES_ON, _GOES_ON_BY_CHANCE = 0.15, 0.5
 
 

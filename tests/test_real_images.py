@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rectangles of real images against their truth; nothing is tuned to any of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from real_images import (
+    corner_errors_2d,
+    score_annotated,
+    score_chessboard,
+    york_urban_angles,
+)
+
+pytestmark = pytest.mark.data
+
+
+@pytest.fixture(scope="module")
+def vision(rgslam_data: Path) -> Path:
+    if not (rgslam_data / "vision").is_dir():
+        pytest.skip(f"no images under {rgslam_data}")
+    return rgslam_data
+
+
+def test_white_sheet_of_the_chessboard_pairs(vision: Path) -> None:
+    scores = score_chessboard(vision)
+    assert len(scores) == 12
+    found = [s for s in scores if s.found]
+    assert len(found) >= 11
+    assert np.mean([s.relative_error <= 0.02 for s in found]) >= 0.9
+    assert max(s.normal_deg for s in found) <= 1.5
+
+
+def test_window_panes_of_the_terrace(vision: Path) -> None:
+    scores = score_annotated(vision, "terrace_2s")
+    assert sum(s.found and s.size_error <= 0.03 for s in scores) >= 3
+
+
+def test_bench_top_beside_the_piano(vision: Path) -> None:
+    (bench,) = score_annotated(vision, "Piano")
+    assert bench.size_error <= 0.03
+
+
+def test_annotated_doors_and_panels_in_one_image(vision: Path) -> None:
+    errors = corner_errors_2d(vision)
+    assert np.mean([error <= 3.0 for error in errors.values()]) >= 0.8
+
+
+def test_vanishing_directions_of_york_urban(vision: Path) -> None:
+    angles, _ = york_urban_angles(vision, most=6)
+    assert len(angles) > 25
+    assert np.median(angles) <= 2.0
+
+
+@pytest.mark.slow
+def test_vanishing_directions_of_all_york_urban(
+    vision: Path, request: pytest.FixtureRequest
+) -> None:
+    if "slow" not in str(request.config.getoption("-m")):
+        pytest.skip("51 images: run with -m slow")
+    angles, best = york_urban_angles(vision)
+    assert np.median(angles) <= 2.0
+    assert np.median(best) <= 2.0
