@@ -100,8 +100,8 @@ def print_depth_noise(result: DepthNoiseResult, console: Console | None = None) 
     low, high = result.nees_band
     _print(
         console,
-        f"Paper, Table I (cm); the NEES / 8 of right covariances lies in {low:.2f} – {high:.2f}",
-        ["object", "true", "reconstructed", "off"],
+        f"Paper, Table I (cm). NEES / 8 of right covariances: {low:.2f} – {high:.2f}",
+        ["object", "true", "reconstructed", "off", "± here"],
         [
             [
                 row.name,
@@ -111,10 +111,21 @@ def print_depth_noise(result: DepthNoiseResult, console: Console | None = None) 
                     f"{found - true:+.1f}"
                     for found, true in zip(row.reconstructed_cm, row.original_cm, strict=True)
                 ),
+                _spread_here(result, row.object),
             ]
             for row in result.paper
         ],
     )
+
+
+def _spread_here(result: DepthNoiseResult, name: str) -> str:
+    """Width and height ± of maximum likelihood, from the best place to the worst (cm)."""
+    rows = [row for row in result.rows() if row.object == name and row.nees is not None]
+    if not rows:
+        return ""
+    widths = [row.width_sigma_cm for row in rows]
+    heights = [row.height_sigma_cm for row in rows]
+    return " / ".join(f"{min(all_):.2f}–{max(all_):.1f}" for all_ in (widths, heights))
 
 
 def _shares(result: RulesResult) -> list[dict[str, float]]:

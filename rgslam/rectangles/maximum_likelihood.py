@@ -22,75 +22,14 @@ import numpy.typing as npt
 from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.rectangles import ambiguity, least_squares, starts
 from rgslam.rectangles.least_squares import SIDE
+from rgslam.rectangles.measurements import CornerMeasurements as CornerMeasurements
+from rgslam.rectangles.measurements import Problem
 from rgslam.types import FloatArray
 
-# Of a corner's depth, where a disparity sets the scale of a start: any value will do.
-_START_DEPTH_SIGMA = 0.01
 # Sigmas of perspective below which the mirror image of a tilt is tried too (its chi-square is 25).
 _WEAK_PERSPECTIVE = 5.0
 # Chi-square per excess measurement above which a minimum may be a local one (5 sigmas for one).
 _DOUBTFUL_COST = 25.0
-
-
-@dataclass(frozen=True, eq=False)
-class CornerMeasurements:
-    """What is known of n rectangles before the estimate; corners in order, from the lower left."""
-
-    left_px: FloatArray  # (n, 4, 2)
-    left_covariance: FloatArray  # (n, 8, 8), px^2, of left_px[i].ravel()
-    right_px: FloatArray  # (n, 4, 2), in the right image; NaN where a corner is not seen
-    right_covariance: FloatArray  # (n, 8, 8), px^2
-    depths: FloatArray  # (n, 4), m, z in c; NaN where there is none
-    depth_sigmas: FloatArray  # (n, 4), m
-
-    @classmethod
-    def of(
-        cls,
-        left_px: npt.ArrayLike,
-        left_covariance: npt.ArrayLike | float,
-        *,
-        right_px: npt.ArrayLike | None = None,
-        right_covariance: npt.ArrayLike | float | None = None,
-        depths: npt.ArrayLike | None = None,
-        depth_sigmas: npt.ArrayLike | float = 1.0,
-    ) -> CornerMeasurements:
-        """Fill in shapes.
-
-        Args:
-            left_px: corners (n, 4, 2) or (4, 2).
-            left_covariance: px^2; one variance for all coordinates, or (..., 4, 2, 2) per corner,
-                or (..., 8, 8) of all eight coordinates, for corners that share a fitted line.
-            right_px: the same corners in the right image, NaN where not seen.
-            right_covariance: as for the left; the same as left if it is not given.
-            depths: (..., 4), m, along z; NaN where there is none.
-            depth_sigmas: standard deviations (..., 4) or one, m.
-
-        Raises:
-            ValueError: a shape does not fit.
-        """
-        left = np.asarray(left_px, float)
-        left = left[None] if left.ndim == 2 else left
-        if left.ndim != 3 or left.shape[1:] != (4, 2):
-            raise ValueError(f"left_px must be (n, 4, 2), got {np.shape(left_px)}")
-        n = len(left)
-        if right_covariance is None:
-            right_covariance = left_covariance
-        nothing = np.full((n, 4), np.nan)
-        return cls(
-            left,
-            _full_covariance(left_covariance, n),
-            np.broadcast_to(
-                nothing[..., None] if right_px is None else np.asarray(right_px, float), (n, 4, 2)
-            ),
-            _full_covariance(right_covariance, n),
-            np.broadcast_to(nothing if depths is None else np.asarray(depths, float), (n, 4)),
-            np.broadcast_to(np.asarray(depth_sigmas, float), (n, 4)),
-        )
-
-    @property
-    def count(self) -> int:
-        """How many rectangles."""
-        return len(self.left_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +90,7 @@ def fit_rectangles(
         measurements: what was measured, of n rectangles.
         camera: the camera or pair that measured it.
     """
-    problem = _Problem.of(measurements, camera)
+    problem = Problem.of(measurements, camera)
     result = _Result.empty(measurements.count)
     everyone = np.flatnonzero(problem.has_scale & np.isfinite(measurements.left_px).all((1, 2)))
     depths, weights = problem.start_depths, problem.start_weights
@@ -202,93 +141,6 @@ def _allow_for_rivals(
     return replace(best, covariances=covariances, rival_probability=all_probability)
 
 
-def _full_covariance(covariance: npt.ArrayLike | float, n: int) -> FloatArray:
-    """Covariances (n, 8, 8) of one variance, of (..., 4, 2, 2) or of (..., 8, 8)."""
-    given = np.asarray(covariance, float)
-    if given.ndim == 0:
-        return np.broadcast_to(given * np.eye(8), (n, 8, 8))
-    if given.shape[-2:] == (8, 8):
-        return np.broadcast_to(given, (n, 8, 8))
-    if given.shape[-3:] != (4, 2, 2):
-        raise ValueError(f"covariance must be one number, (4, 2, 2) or (8, 8), got {given.shape}")
-    full = np.zeros((n, 8, 8))
-    for k in range(4):
-        full[:, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = given[..., k, :, :]
-    return full
-
-
-def _whiteners(covariance: FloatArray, used: npt.NDArray[np.bool_]) -> FloatArray:
-    """Lower triangular W (n, 8, 8) with W^T W the information of the used (n, 8) coordinates.
-
-    Raises:
-        ValueError: a covariance is not positive definite.
-    """
-    both = used[:, :, None] & used[:, None, :]
-    identity = np.eye(8)
-    try:
-        factors = np.linalg.cholesky(np.where(both, covariance, identity))
-    except np.linalg.LinAlgError:
-        raise ValueError("a pixel covariance is not positive definite") from None
-    return np.where(both, np.linalg.inv(factors), 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """The measurements as the compiled solver wants them."""
-
-    camera: FloatArray  # (5,)
-    measured: FloatArray  # (n, 20)
-    whiteners: FloatArray  # (n, 2, 8, 8)
-    depth_weights: FloatArray  # (n, 4)
-    with_right: bool
-    start_depths: FloatArray  # (n, 4), measured or from disparity
-    start_weights: FloatArray  # (n, 4), 1 / sigma^2
-    degrees_of_freedom: npt.NDArray[np.int64]  # (n,)
-
-    @classmethod
-    def of(cls, given: CornerMeasurements, camera: PinholeCamera | StereoCamera) -> _Problem:
-        n = given.count
-        stereo = camera if isinstance(camera, StereoCamera) else None
-        right = given.right_px if stereo else np.full((n, 4, 2), np.nan)
-        seen = np.isfinite(right)
-        known = np.isfinite(given.depths)
-        if (known & ~(given.depth_sigmas > 0.0)).any():
-            raise ValueError("depth_sigmas must be positive")
-        depths = np.where(known, given.depths, 0.0)
-        whiteners = np.zeros((n, 2, 8, 8))
-        whiteners[:, 0] = _whiteners(given.left_covariance, np.ones((n, 8), bool))
-        with_right = bool(seen.any())
-        if with_right:
-            whiteners[:, 1] = _whiteners(given.right_covariance, seen.reshape(n, 8))
-        right = np.where(seen, right, 0.0)
-        flat = [given.left_px.reshape(n, 8), right.reshape(n, 8), depths]
-        start_depths, start_weights = depths, np.where(known, given.depth_sigmas**-2.0, 0.0)
-        if stereo and with_right:
-            from_disparity = stereo.depth(given.left_px[..., 0] - right[..., 0])
-            use = ~known & seen.all(axis=-1) & np.isfinite(from_disparity)
-            start_depths = np.where(use, from_disparity, start_depths)
-            rough = (_START_DEPTH_SIGMA * np.where(use, from_disparity, 1.0)) ** -2.0
-            start_weights = np.where(use, rough, start_weights)
-        counted = 8 + seen.sum(axis=(1, 2)) + known.sum(axis=1) - least_squares.UNKNOWNS
-        return cls(
-            np.array(
-                [camera.fx, camera.fy, camera.cx, camera.cy, stereo.baseline if stereo else 0.0]
-            ),
-            np.concatenate(flat, axis=1),
-            whiteners,
-            np.where(known, 1.0 / given.depth_sigmas, 0.0),
-            with_right,
-            start_depths,
-            start_weights,
-            counted,
-        )
-
-    @property
-    def has_scale(self) -> npt.NDArray[np.bool_]:
-        """Whether something sets the scale, (n,)."""
-        return np.any(self.start_weights > 0.0, axis=1)
-
-
 @dataclass(eq=False)
 class _Result:
     """The best minimum found so far of every rectangle."""
@@ -313,7 +165,7 @@ class _Result:
 
     def improve(
         self,
-        problem: _Problem,
+        problem: Problem,
         chosen: npt.NDArray[np.int64],
         start: starts.Starts,
         rows: npt.NDArray[np.int64] | None = None,
@@ -364,7 +216,7 @@ class _Result:
             mine, others = getattr(self, field.name), getattr(other, field.name)
             mine[which], others[which] = others[which].copy(), mine[which].copy()
 
-    def estimates(self, problem: _Problem) -> RectangleEstimates:
+    def estimates(self, problem: Problem) -> RectangleEstimates:
         """With sizes made positive and covariances."""
         # A negative width is a rectangle turned by half a turn about its y axis: same corners.
         signs = np.where(self.sizes < 0.0, -1.0, 1.0)
