@@ -160,7 +160,7 @@ class RectangleConfig(StageConfig):
     max_passes: int = Field(1, ge=0, le=8)
     max_direction_sigma_deg: float = Field(2.0, gt=0.0)
     min_similarity: float = Field(0.3, ge=-1.0, le=1.0)  # of the borders in both images
-    max_relative_sigma: float = Field(0.25, gt=0.0)  # of width and height
+    max_relative_sigma: float = Field(0.15, gt=0.0)  # of width and height
     prior: float = Field(0.1, gt=0.0, lt=1.0)  # share of hypotheses that are rectangles
     min_probability: float = Field(0.5, ge=0.0, le=1.0)  # of being one, after verification
     max_overlap: float = Field(0.8, gt=0.0, le=1.0)  # of two rectangles, intersection over union
