@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -18,6 +19,8 @@ from rgslam.experiments.rules import (
     PAPER_TRUE_BELOW,
     RulesResult,
 )
+
+_FILE_WIDTH = 120  # columns: the widest table
 
 
 def print_discretization(result: DiscretizationResult, console: Console | None = None) -> None:
@@ -153,10 +156,14 @@ def _depth_noise_cells(row: DepthNoiseRow) -> list[str]:
 def _print(
     console: Console | None, title: str, columns: Sequence[str], rows: list[list[str]]
 ) -> None:
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
     texts = {"size cm", "corners", "method", "question", "object", "rule", "answer"}
     for column in columns:
         table.add_column(column, justify="left" if column in texts else "right")
     for row in rows:
         table.add_row(*row)
-    (console or Console()).print(table)
+    console = console or Console()
+    # A file or pipe has no width of its own: let every row have its line.
+    if not console.is_terminal:
+        console.width = max(console.width, _FILE_WIDTH)
+    console.print(table)
