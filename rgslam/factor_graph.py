@@ -7,7 +7,7 @@ Variables so far are the planar keyframe poses `X(k)`; the first one is the worl
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import gtsam
 import numpy as np
@@ -79,10 +79,15 @@ class PoseGraph:
         return np.array([marginals.marginalCovariance(X(k)) for k in range(len(poses))])
 
 
-def mahalanobis(edge: PoseEdge, poses: FloatArray) -> float:
-    """How many sigmas an edge is off at the given poses (3 degrees of freedom)."""
-    error = between(edge.iTj, between(poses[edge.i], poses[edge.j]))
-    return float(np.sqrt(error @ np.linalg.solve(edge.covariance, error)))
+def mahalanobis(edges: Sequence[PoseEdge], poses: FloatArray) -> FloatArray:
+    """How many sigmas each edge is off at the given poses (3 degrees of freedom), (n,)."""
+    if not edges:
+        return np.zeros(0)
+    i, j = np.array([(edge.i, edge.j) for edge in edges]).T
+    measured = np.array([edge.iTj for edge in edges])
+    error = between(measured, between(poses[i], poses[j]))
+    weighted = np.linalg.solve(np.array([edge.covariance for edge in edges]), error[..., None])
+    return np.sqrt(np.einsum("ni,ni->n", error, weighted[..., 0]))
 
 
 def _values(poses: FloatArray) -> gtsam.Values:

@@ -42,6 +42,8 @@ from rgslam.types import (
 #: What a step without any motion may still be off: the wheels stand, the robot may be pushed or a
 #: stamp be late. 1 cm and 0.3 degrees.
 _STANDING = np.diag([0.01**2, 0.01**2, 0.005**2])
+#: Sigmas by which a loop must be off before the poses are optimised at once.
+_SURPRISING_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +241,8 @@ class Mapper:
         self._graph.add(edges)
         self._closer.add_edges(edges)
         self._unsettled += bool(loops) or self._unsettled > 0
-        surprise = any(loop.wide or mahalanobis(loop.edge, self._poses) > 3.0 for loop in loops)
+        far_off = mahalanobis(edges, self._poses) > _SURPRISING_SIGMAS
+        surprise = bool(far_off.any()) or any(loop.wide for loop in loops)
         if surprise or self._unsettled > self.config.factor_graph.optimise_every:
             self._optimise(surprise)
 
@@ -251,9 +254,10 @@ class Mapper:
         """
         before = self._poses
         self._poses = self._graph.optimise(before, convex_start=surprise)
+        sigmas = mahalanobis([loop.edge for loop in self._closer.accepted], self._poses)
         limit = self.config.factor_graph.max_loop_sigmas
         outvoted = [
-            loop for loop in self._closer.accepted if mahalanobis(loop.edge, self._poses) > limit
+            loop for loop, off in zip(self._closer.accepted, sigmas, strict=True) if off > limit
         ]
         if outvoted:
             self._graph = self._graph.without(loop.edge for loop in outvoted)

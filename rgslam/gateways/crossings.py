@@ -35,8 +35,9 @@ def _hysteresis(gateway: Gateway) -> float:
 def _crossings_of(gateway: Gateway, stamps: FloatArray, xy: FloatArray) -> tuple[Crossing, ...]:
     normal = gateway.directions[0]
     along = gateway.points[1] - gateway.points[0]
-    side = (xy - gateway.points[0]) @ normal  # negative in regions[0], positive in regions[1]
-    fraction = (xy - gateway.points[0]) @ along / float(along @ along)
+    # Negative in regions[0], positive in regions[1]; lists are ten times faster one by one
+    side = ((xy - gateway.points[0]) @ normal).tolist()
+    fraction = ((xy - gateway.points[0]) @ along / float(along @ along)).tolist()
     band = _hysteresis(gateway)
     found = []
     state = 0  # side on which the robot was last seen clear of the line
