@@ -244,16 +244,16 @@ class Mapper:
         far_off = mahalanobis(edges, self._poses) > _SURPRISING_SIGMAS
         surprise = bool(far_off.any()) or any(loop.wide for loop in loops)
         if surprise or self._unsettled > self.config.factor_graph.optimise_every:
-            self._optimise(surprise)
+            self._optimise(convex_start=any(loop.wide for loop in loops))
 
-    def _optimise(self, surprise: bool) -> None:
+    def _optimise(self, convex_start: bool = False) -> None:
         """Most likely poses; loops that the others outvote are taken back.
 
         Args:
-            surprise: a loop is far off: it must pull before the robust kernel may doubt it.
+            convex_start: a loop may be far off: it must pull before the robust kernel doubts it.
         """
         before = self._poses
-        self._poses = self._graph.optimise(before, convex_start=surprise)
+        self._poses = self._graph.optimise(before, convex_start=convex_start)
         sigmas = mahalanobis([loop.edge for loop in self._closer.accepted], self._poses)
         limit = self.config.factor_graph.max_loop_sigmas
         outvoted = [
@@ -262,7 +262,7 @@ class Mapper:
         if outvoted:
             self._graph = self._graph.without(loop.edge for loop in outvoted)
             self._closer.take_back(outvoted, self._graph.edges)
-            self._poses = self._graph.optimise(before, convex_start=surprise)
+            self._poses = self._graph.optimise(before, convex_start=convex_start)
         self._wTb = compose(self._poses[-1], self._track.kTb[-1])
         self._unsettled = 0
 
@@ -293,7 +293,7 @@ class Mapper:
         tell = progress or (lambda stage, done, total: None)
         with self.clock.stage("optimisation"):
             tell("optimisation", 0, 2)
-            self._optimise(surprise=False)
+            self._optimise()
             tell("optimisation", 1, 2)
             covariances = self._graph.covariances(self._poses)
             tell("optimisation", 2, 2)
