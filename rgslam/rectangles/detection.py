@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rgslam.camera import StereoCamera
+from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.config import Config
 from rgslam.errors import CalibrationError
 from rgslam.rectangles.gradients import GradientImage, gradient_image
@@ -117,7 +117,7 @@ def detect_rectangles(
     rejected.update(quads.rejected)
 
     # 2., 3. Normal and shape, before any depth
-    quads = _of_rectangular_shape(_from_lower_left(quads), camera, config, rejected)
+    quads = of_rectangular_shape(from_lower_left(quads), camera, config, rejected)
 
     if not len(quads):
         return _detection((), rejected, len(lines))
@@ -141,7 +141,7 @@ def _detection(
     return Detection(found, {why: count for why, count in rejected.items() if count}, line_count)
 
 
-def _from_lower_left(quads: Quadrangles) -> Quadrangles:
+def from_lower_left(quads: Quadrangles) -> Quadrangles:
     """Corners started so that sides 3-0 and 1-2, the height, are nearest to upright."""
     ends = quads.corners + np.roll(quads.corners, -1, axis=1)  # twice the middle of side s
     lower = ends[..., 1] - np.roll(ends, -2, axis=1)[..., 1]  # y down: largest = lowest side
@@ -160,8 +160,8 @@ def _from_lower_left(quads: Quadrangles) -> Quadrangles:
     )
 
 
-def _of_rectangular_shape(
-    quads: Quadrangles, camera: StereoCamera, config: Config, rejected: Counter[Rejection]
+def of_rectangular_shape(
+    quads: Quadrangles, camera: PinholeCamera, config: Config, rejected: Counter[Rejection]
 ) -> Quadrangles:
     """Without depth the shape is known up to scale: sides at right angles, or no rectangle."""
     section = config.rectangles
@@ -232,7 +232,7 @@ def _accept(
         good &= ~failed
     rank = _ranks(quads, measured, probability)
     order = np.flatnonzero(good)[np.argsort(-rank[good], kind="stable")]
-    kept = _without_rivals(quads.take(order), section.max_overlap)
+    kept = without_rivals(quads.take(order), section.max_overlap)
     rejected[Rejection.DUPLICATE] += len(order) - len(kept)
     return tuple(_rectangle(int(i), quads, measured, estimates, probability) for i in order[kept])
 
@@ -243,7 +243,7 @@ def _ranks(quads: Quadrangles, measured: RightCorners, probability: FloatArray) 
     return border.mean(axis=1) + 0.2 * probability - 2.0 * PASS_COST * quads.passes
 
 
-def _without_rivals(quads: Quadrangles, max_overlap: float) -> IntArray:
+def without_rivals(quads: Quadrangles, max_overlap: float) -> IntArray:
     """Indices of quadrangles that do not contradict a better one (they come best first)."""
     kept: list[int] = []
     low, high = quads.corners.min(axis=1), quads.corners.max(axis=1)

@@ -98,12 +98,17 @@ def rectangle_probability(
     share = (measured.support * length).sum(axis=1) / np.maximum(length.sum(axis=1), 1e-9)
     chance = np.clip(measured.chance, 0.05, _SEEN - 0.05)
     edges = share * np.log(_SEEN / chance) + (1 - share) * np.log((1 - _SEEN) / (1 - chance))
+    prior = math.log(config.prior / (1 - config.prior))
+    return _logistic(prior + runs * edges) * shape_probability(costs, passes, config)
+
+
+def shape_probability(costs: FloatArray, passes: IntArray, config: RectangleConfig) -> FloatArray:
+    """Probability (k,) that four lines are the border of one rectangle; arguments as above."""
     # A rectangle's residuals have unit spread, those of anything else a wider one.
     fit = _SHAPE_DEGREES * math.log(_CHANCE_SPREAD) - 0.5 * costs * (1 - _CHANCE_SPREAD**-2)
     ends = passes * math.log(_GOES_ON / _GOES_ON_BY_CHANCE)
     ends = ends + (8 - passes) * math.log((1 - _GOES_ON) / (1 - _GOES_ON_BY_CHANCE))
-    prior = math.log(config.prior / (1 - config.prior))
-    return _logistic(prior + runs * edges) * _logistic(prior + fit + ends)
+    return _logistic(math.log(config.prior / (1 - config.prior)) + fit + ends)
 
 
 def _logistic(log_odds: FloatArray) -> FloatArray:

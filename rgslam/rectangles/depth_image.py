@@ -1,0 +1,192 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rectangles of one image and a depth image (RGB-D) in place of the second camera."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import numpy.typing as npt
+
+from rgslam.camera import PinholeCamera
+from rgslam.config import Config, RectangleConfig
+from rgslam.errors import CalibrationError
+from rgslam.rectangles.detection import (
+    DetectedRectangle,
+    Detection,
+    from_lower_left,
+    of_rectangular_shape,
+    without_rivals,
+)
+from rgslam.rectangles.gradients import gradient_image
+from rgslam.rectangles.hypotheses import PASS_COST, Quadrangles, find_quadrangles
+from rgslam.rectangles.line_segments import lines_of_gradient
+from rgslam.rectangles.maximum_likelihood import (
+    CornerMeasurements,
+    RectangleEstimates,
+    fit_rectangles,
+)
+from rgslam.rectangles.rejection import Rejection
+from rgslam.rectangles.verification import shape_probability
+from rgslam.types import FloatArray
+
+_GRID = 12  # samples each way inside a quadrangle
+_MARGIN = 0.06  # of the side that is left out: depth images are wrong next to an edge
+_CORRELATED = 9.0  # neighbouring depths come from one matching window: so many count as one
+
+
+def detect_with_depth(
+    image: npt.NDArray[np.uint8],
+    depth: FloatArray,
+    camera: PinholeCamera,
+    config: Config | None = None,
+) -> Detection:
+    """Find the rectangles of an image whose depth is known pixel by pixel.
+
+    Args:
+        image: Grey, without distortion (height, width).
+        depth: (height, width), m along z, registered to the image; 0 or NaN = unknown.
+        camera: That took the image.
+        config: Section `rectangles`.
+
+    Raises:
+        CalibrationError: image, depth and camera are not of one size.
+    """
+    config = Config() if config is None else config
+    if not image.shape == depth.shape == (camera.height, camera.width):
+        raise CalibrationError(
+            f"image {image.shape}, depth {depth.shape} and camera "
+            f"{(camera.height, camera.width)} differ in size"
+        )
+    section = config.rectangles
+    rejected: Counter[Rejection] = Counter()
+    gradient = gradient_image(image)
+    lines = lines_of_gradient(image, gradient, section)
+    quads = find_quadrangles(lines, gradient, section)
+    rejected.update(quads.rejected)
+    quads = of_rectangular_shape(from_lower_left(quads), camera, config, rejected)
+    found: tuple[DetectedRectangle, ...] = ()
+    if len(quads):
+        found = _measured(quads, depth, camera, section, rejected)
+    return Detection(found, {why: n for why, n in rejected.items() if n}, len(lines))
+
+
+def _measured(
+    quads: Quadrangles,
+    depth: FloatArray,
+    camera: PinholeCamera,
+    section: RectangleConfig,
+    rejected: Counter[Rejection],
+) -> tuple[DetectedRectangle, ...]:
+    corner_depths, sigmas, known, flat = corner_depths_of_planes(quads.corners, depth, section)
+    measurements = CornerMeasurements.of(
+        quads.corners,
+        quads.covariances + section.corner_sigma_px**2 * np.eye(8),
+        depths=corner_depths,
+        depth_sigmas=sigmas,
+    )
+    estimates = fit_rectangles(measurements, camera)
+    probability = shape_probability(estimates.costs, quads.passes, section)
+    spread = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
+    with np.errstate(invalid="ignore"):
+        vague = ~(spread <= section.max_relative_sigma * estimates.sizes).all(axis=1)
+    good = np.ones(len(quads), dtype=bool)
+    for reason, failed in (
+        (Rejection.NO_DEPTH, ~known),
+        (Rejection.VERIFICATION_FAILED, ~flat),
+        (Rejection.NOT_CONVERGED, ~estimates.converged),
+        (Rejection.VERIFICATION_FAILED, probability < section.min_probability),
+        (Rejection.TOO_UNCERTAIN, vague),
+    ):
+        rejected[reason] += int((good & failed).sum())
+        good &= ~failed
+    rank = quads.support.mean(axis=1) + 0.2 * probability - 2.0 * PASS_COST * quads.passes
+    order = np.flatnonzero(good)[np.argsort(-rank[good], kind="stable")]
+    kept = without_rivals(quads.take(order), section.max_overlap)
+    rejected[Rejection.DUPLICATE] += len(order) - len(kept)
+    return tuple(_rectangle(int(i), quads, estimates, probability) for i in order[kept])
+
+
+def corner_depths_of_planes(
+    corners: FloatArray, depth: FloatArray, section: RectangleConfig
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Depths at the corners of quadrangles, from a plane through the depths inside.
+
+    A plane's inverse depth is linear in the image: `1 / z = a x + b y + c`.
+
+    Returns:
+        Depths (k, 4) and standard deviations (k, 4) in m (NaN and 1 where there is no plane),
+        whether depth is known inside (k,), and whether it lies on one plane (k,).
+    """
+    share = np.linspace(_MARGIN, 1 - _MARGIN, _GRID)
+    u, v = (grid.ravel() for grid in np.meshgrid(share, share))
+    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v])
+    places = np.einsum("sm,ksc->kmc", weights, corners)
+    cells = np.rint(places).astype(np.int64)
+    cells = np.clip(cells, 0, np.array(depth.shape[::-1]) - 1)
+    with np.errstate(divide="ignore"):
+        inverse = 1.0 / depth[cells[..., 1], cells[..., 0]]
+    seen = np.isfinite(inverse) & (inverse > 0)
+    middle = places.mean(axis=1, keepdims=True)
+    base = np.concatenate([places - middle, np.ones_like(places[..., :1])], axis=2)
+    at_corners = np.concatenate([corners - middle, np.ones_like(corners[..., :1])], axis=2)
+    count = len(corners)
+    depths, sigmas = np.full((count, 4), np.nan), np.ones((count, 4))
+    known = seen.mean(axis=1) >= section.min_known_depth
+    flat = np.zeros(count, dtype=bool)
+    for k in np.flatnonzero(known):
+        a, b = base[k, seen[k]], inverse[k, seen[k]]
+        plane, covariance, on_plane = _robust_plane(a, b, section.inverse_depth_sigma)
+        flat[k] = on_plane >= section.min_on_plane
+        q = at_corners[k] @ plane
+        if (q <= 0).any():
+            flat[k] = False
+            continue
+        variance = np.einsum("si,ij,sj->s", at_corners[k], covariance, at_corners[k]) / q**4
+        depths[k] = 1.0 / q
+        # Four depths of one plane say three things only.
+        sigmas[k] = np.sqrt(4.0 / 3.0 * variance + (section.depth_scale_sigma / q) ** 2)
+    return depths, sigmas, known, flat
+
+
+def _robust_plane(
+    base: FloatArray, values: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Plane (3,) of values, its covariance and the share of values within three sigmas of it."""
+    weight = np.ones(len(values))
+    plane: FloatArray = np.zeros(3)
+    information = np.eye(3)
+    # Holes and things in front are far off: first weights of the residuals' own scale (Cauchy),
+    # then Tukey's of the sensor's.
+    for step in range(10):
+        information = (base * weight[:, None]).T @ base + 1e-9 * np.eye(3)
+        plane = np.linalg.solve(information, (base * weight[:, None]).T @ values)
+        residual = np.abs(values - base @ plane)
+        if step < 6:
+            weight = 1.0 / (1.0 + (residual / max(sigma, float(np.median(residual)))) ** 2)
+        else:
+            weight = np.maximum(1 - (residual / (4.0 * sigma)) ** 2, 0.0) ** 2
+    near = np.abs(values - base @ plane) <= 3.0 * sigma
+    covariance = np.asarray(np.linalg.inv(information) * (sigma**2 * _CORRELATED), np.float64)
+    return plane, covariance, float(near.mean())
+
+
+def _rectangle(
+    index: int, quads: Quadrangles, estimates: RectangleEstimates, probability: FloatArray
+) -> DetectedRectangle:
+    return DetectedRectangle(
+        rotation=estimates.rotations[index],
+        translation=estimates.translations[index],
+        size=estimates.sizes[index],
+        covariance=estimates.covariances[index],
+        corners=estimates.corners[index],
+        corner_covariances=estimates.corner_covariances[index],
+        left_px=quads.corners[index],
+        left_covariance=quads.covariances[index],
+        right_px=np.full((4, 2), np.nan),
+        right_covariance=np.full((8, 8), np.nan),
+        cost=float(estimates.costs[index]),
+        probability=float(probability[index]),
+        support=quads.support[index],
+    )
