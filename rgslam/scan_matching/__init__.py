@@ -9,6 +9,7 @@ with a covariance that comes from the match itself.
 
 from rgslam.scan_matching.agreement import Agreement, agreement
 from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
+from rgslam.scan_matching.registration import Registration, gate_schedule, register
 from rgslam.scan_matching.scan_points import (
     EDGE,
     INVALID,
@@ -20,13 +21,7 @@ from rgslam.scan_matching.scan_points import (
     scan_points,
     thinned,
 )
-from rgslam.scan_matching.surfel_map import (
-    Registration,
-    SurfelMap,
-    build_surfel_map,
-    gate_schedule,
-    register,
-)
+from rgslam.scan_matching.surfel_map import SurfelMap, build_surfel_map
 
 __all__ = [
     "EDGE",

@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Least squares of a scan against a surfel map: surfaces point to line, edges point to point.
+
+The information of a match comes from the match itself: long along a featureless hallway, as what
+noisy normals only pretend to know is taken off (errors in variables).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rgslam.scan_matching.surfel_map import SurfelMap
+from rgslam.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A scan aligned with a surfel map."""
+
+    wTb: FloatArray  # (3,)
+    information: FloatArray  # (3, 3), of the match alone, in the tangent space at wTb: x, y, theta
+    inliers: float  # share of the surface points that found a partner, 0..1
+    residual: float  # m, robust RMS distance to the lines
+    converged: bool
+
+
+def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArray:
+    """Association gates from the uncertainty of the guess down to what noise explains, (k,)."""
+    end = 6.0 * sigma
+    return np.maximum(end, max(start, end) * 0.6 ** np.arange(iterations))
+
+
+def register(
+    b_points: FloatArray,
+    b_normals: FloatArray,
+    guess: FloatArray,
+    surfels: SurfelMap,
+    sigma: float,
+    gates: FloatArray,
+    prior_mean: FloatArray | None = None,
+    prior_information: FloatArray | None = None,
+) -> Registration:
+    """Align a scan with a surfel map: surfaces point to line, edges point to point.
+
+    Args:
+        b_points: (n, 2), points of the scan.
+        b_normals: (n, 2), their normals; 0 on edges.
+        guess: (3,), wTb to start from.
+        surfels: the map, in w.
+        sigma: m, standard deviation of a point across its line.
+        gates: (k,), m, association gate of each iteration.
+        prior_mean: (3,), wTb that odometry predicts, or None for the guess.
+        prior_information: (3, 3) of the prediction in the frame of the scan, or None for no prior.
+
+    Returns:
+        The aligned pose with the information of the match without the prior.
+    """
+    prior = np.zeros((3, 3)) if prior_information is None else prior_information
+    # Keeps the system solvable along a featureless hallway: 10 m and 10 rad of vague knowledge
+    prior = prior + np.diag([1e-2, 1e-2, 1e-2])
+    mean = guess if prior_mean is None else prior_mean
+    pose, information, matched, rms, converged = _register(
+        np.asarray(guess, float), b_points, b_normals, surfels.points, surfels.normals,
+        surfels.normal_variances, surfels.is_edge, surfels.nearest, surfels.resolution,
+        surfels.origin, sigma, gates, np.asarray(mean, float), prior,
+    )  # fmt: skip
+    # The noise of the normals was taken off, so that a bare hallway stays open along its axis;
+    # where it exceeds what an axis is known by, the axis is not known at all
+    values, vectors = np.linalg.eigh(information)
+    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    surface = np.count_nonzero(b_normals.any(axis=1))
+    return Registration(pose, information, matched / max(surface, 1), rms, converged)
+
+
+@njit(cache=True)
+def _normal_equations(
+    pose: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    map_points: FloatArray,
+    map_normals: FloatArray,
+    map_variances: FloatArray,
+    map_edges: npt.NDArray[np.bool_],
+    nearest: npt.NDArray[np.int32],
+    resolution: float,
+    origin: FloatArray,
+    sigma: float,
+    gate: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, int, float, float]:
+    """H, its noise, b, matches, weights, squares for a right perturbation of the pose.
+
+    Noisy normals look like information along a wall (errors in variables): `noise` is what their
+    variance adds to H on average.
+    """
+    H, b, noise = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
+    rows, cols = nearest.shape
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    matched, weights, squares = 0, 0.0, 0.0
+    for i in range(len(points)):
+        px, py = points[i, 0], points[i, 1]
+        qx, qy = pose[0] + c * px - s * py, pose[1] + s * px + c * py
+        col = int(np.floor((qx - origin[0]) / resolution))
+        row = int(np.floor((qy - origin[1]) / resolution))
+        if row < 0 or row >= rows or col < 0 or col >= cols:
+            continue
+        k = nearest[row, col]
+        if k < 0:
+            continue
+        nx, ny = map_normals[k, 0], map_normals[k, 1]
+        ex, ey = qx - map_points[k, 0], qy - map_points[k, 1]
+        d2 = ex * ex + ey * ey
+        if d2 > gate * gate:
+            continue
+        if normals[i, 0] == 0.0 and normals[i, 1] == 0.0:
+            if not map_edges[k]:
+                continue
+            # An edge holds a point in both directions, where a hallway's walls do not; it is known
+            # to about a cell, as beams pass it left and right
+            u = 1.0 + d2 / (3.0 * resolution) ** 2
+            w = (sigma / resolution) ** 2 / (u * u)
+            ax, ay = c * ex + s * ey, -s * ex + c * ey
+            H[0, 0] += w
+            H[0, 2] -= w * py
+            H[1, 1] += w
+            H[1, 2] += w * px
+            H[2, 2] += w * (px * px + py * py)
+            b[0] += w * ax
+            b[1] += w * ay
+            b[2] += w * (px * ay - py * ax)
+            continue
+        # The surfel's normal in the scan's frame; 45 degrees keep the two faces of a wall apart
+        jx, jy = c * nx + s * ny, -s * nx + c * ny
+        if jx * normals[i, 0] + jy * normals[i, 1] < 0.7:
+            continue
+        e = nx * ex + ny * ey
+        # Geman-McClure: what lies many sigmas off is another surface
+        u = 1.0 + (e / (3.0 * sigma)) ** 2
+        w = 1.0 / (u * u)
+        jt = -jx * py + jy * px
+        H[0, 0] += w * jx * jx
+        H[0, 1] += w * jx * jy
+        H[0, 2] += w * jx * jt
+        H[1, 1] += w * jy * jy
+        H[1, 2] += w * jy * jt
+        H[2, 2] += w * jt * jt
+        b[0] += w * jx * e
+        b[1] += w * jy * e
+        b[2] += w * jt * e
+        v = w * map_variances[k]
+        kt = jy * py + jx * px  # turned by 90 degrees, the normal is (-jy, jx)
+        noise[0, 0] += v * jy * jy
+        noise[0, 1] -= v * jy * jx
+        noise[0, 2] -= v * jy * kt
+        noise[1, 1] += v * jx * jx
+        noise[1, 2] += v * jx * kt
+        noise[2, 2] += v * kt * kt
+        matched += 1
+        weights += w
+        squares += w * e * e
+    for A in (H, noise):
+        A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
+    return H, noise, b, matched, weights, squares
+
+
+@njit(cache=True)
+def _solve(A: FloatArray, b: FloatArray) -> FloatArray:
+    """Solution (3,) of A x = b for a positive definite A (3, 3), by its adjugate.
+
+    Written out, as Numba takes ten seconds to compile `np.linalg.solve`.
+    """
+    c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[1, 2]
+    c01 = A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2]
+    c02 = A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
+    c11 = A[0, 0] * A[2, 2] - A[0, 2] * A[0, 2]
+    c12 = A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
+    c22 = A[0, 0] * A[1, 1] - A[0, 1] * A[0, 1]
+    det = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
+    return np.array(
+        [
+            (c00 * b[0] + c01 * b[1] + c02 * b[2]) / det,
+            (c01 * b[0] + c11 * b[1] + c12 * b[2]) / det,
+            (c02 * b[0] + c12 * b[1] + c22 * b[2]) / det,
+        ]
+    )
+
+
+@njit(cache=True)
+def _register(
+    guess: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    map_points: FloatArray,
+    map_normals: FloatArray,
+    map_variances: FloatArray,
+    map_edges: npt.NDArray[np.bool_],
+    nearest: npt.NDArray[np.int32],
+    resolution: float,
+    origin: FloatArray,
+    sigma: float,
+    gates: FloatArray,
+    prior_mean: FloatArray,
+    prior: FloatArray,
+) -> tuple[FloatArray, FloatArray, int, float, bool]:
+    pose = guess.copy()
+    information = np.zeros((3, 3))
+    matched, rms, converged = 0, np.inf, False
+    for iteration in range(len(gates)):
+        H, noise, b, matched, weights, squares = _normal_equations(
+            pose, points, normals, map_points, map_normals, map_variances, map_edges, nearest,
+            resolution, origin, sigma, gates[iteration],
+        )  # fmt: skip
+        information = (H - noise) / (sigma * sigma)
+        if matched < 3:
+            rms = np.inf
+            break
+        rms = np.sqrt(squares / weights)
+        # The prior is a Gaussian around its mean, given in the frame of the scan
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        dx, dy = pose[0] - prior_mean[0], pose[1] - prior_mean[1]
+        turn = (pose[2] - prior_mean[2] + np.pi) % (2.0 * np.pi) - np.pi
+        off = np.array([c * dx + s * dy, -s * dx + c * dy, turn])
+        gradient = b / (sigma * sigma)
+        for k in range(3):
+            for m in range(3):
+                gradient[k] += prior[k, m] * off[m]
+        step = _solve(H / (sigma * sigma) + prior, -gradient)
+        pose[0] += c * step[0] - s * step[1]
+        pose[1] += s * step[0] + c * step[1]
+        pose[2] += step[2]
+        small = abs(step[0]) + abs(step[1]) < 1e-3 and abs(step[2]) < 5e-4
+        if small and gates[iteration] <= gates[-1]:
+            converged = True
+            break
+    pose[2] = (pose[2] + np.pi) % (2.0 * np.pi) - np.pi
+    return pose, information, matched, rms, converged
