@@ -168,7 +168,7 @@ def build_occupancy_grid(
         scans: the scans.
         wTb: (N, 3), pose of the robot base at each scan; rows that are not finite are left out.
         config: resolution and evidence weights; None for the defaults.
-        progress: called as ("occupancy_grid", scans done, scans in all).
+        progress: called as ("occupancy grid", scans done, scans in all).
 
     Raises:
         MapError: no scans, scans and poses differ in number, or a grid too large for memory.
@@ -198,7 +198,7 @@ def build_occupancy_grid(
         ends /= config.resolution
         cast_beams(hits, passes, origins, ends, hit, shy)
         if progress:
-            progress("occupancy_grid", min(chunk.stop, len(scans)), len(scans))
+            progress("occupancy grid", min(chunk.stop, len(scans)), len(scans))
     inside = np.ones(len(hit_points), bool)
     for k in range(2):
         inside &= (hit_points[:, k] >= origin[k]) & (hit_points[:, k] <= upper[k])

@@ -125,7 +125,7 @@ def test_same_input_same_bytes_and_progress_reaches_the_end():
     seen = []
     a = build_occupancy_grid(scans, poses, progress=lambda *x: seen.append(x))
     assert a.occupancy.tobytes() == build_occupancy_grid(scans, poses).occupancy.tobytes()
-    assert seen[-1] == ("occupancy_grid", len(scans), len(scans))
+    assert seen[-1] == ("occupancy grid", len(scans), len(scans))
 
 
 def test_bad_input_is_named():
