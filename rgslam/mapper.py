@@ -25,7 +25,7 @@ from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
 from rgslam.regions import segment_grid
 from rgslam.rg_map import RGMap, RunInfo
-from rgslam.scan_matching import LaserGeometry, ScanPoints, ScanStore, scan_points
+from rgslam.scan_matching import SURFACE, LaserGeometry, ScanPoints, ScanStore, scan_points
 from rgslam.stage_clock import StageClock
 from rgslam.types import (
     EdgeKind,
@@ -173,7 +173,7 @@ class Mapper:
             self._track.odd_geometry.append(scan.record)
             return None
         points = scan_points(scan.ranges, self._geometry, self._local_map.sigma)
-        return points if len(points.surface[0]) >= 3 else None
+        return points if np.count_nonzero(points.classes == SURFACE) >= 3 else None
 
     def _match(self, points: ScanPoints | None, odometry: Motion, habit: Motion) -> LocalMatch:
         if points is None or not len(self._poses):

@@ -162,18 +162,18 @@ def _select(
     mean_narrowing: float,
     widening: float,
     hallway_length: float,
-    before: FloatArray,
+    lines: FloatArray,
+    count: int,
     jamb: float,
-) -> IntArray:
+) -> list[int]:
     """Indices of accepted lines; every one is drawn into `free` as a wall.
 
-    `before` (m, 2, 2) are lines accepted earlier; a line with both ends within `jamb` of the ends
-    of an accepted one crosses the same door frame once more.
+    The first `count` of `lines` (m, 2, 2) were accepted earlier, the rest is room for more; a line
+    with both ends within `jamb` of the ends of an accepted one crosses the same door frame once
+    more.
     """
     accepted = [0]
     accepted.clear()
-    lines = np.concatenate((before, ends))  # accepted ones first; the rest is room for more
-    count = len(before)
     far = _FAR * cells_per_metre
     for i in range(len(ends)):
         x0, y0, x1, y1 = ends[i, 0, 0], ends[i, 0, 1], ends[i, 1, 0], ends[i, 1, 1]
@@ -204,7 +204,7 @@ def _select(
             for k in range(4):
                 lines[count, k // 2, k % 2] = ends[i, k // 2, k % 2]
             count += 1
-    return np.array(accepted)
+    return accepted
 
 
 def clearance_of(free: BoolArray) -> npt.NDArray[np.float32]:
@@ -244,12 +244,12 @@ def select_passages(
     walls = np.array(free, bool, order="C")
     found: list[IntArray] = []
     for necks in (True, False):
-        before = ends[found[0]] if found else ends[:0]
+        before = found[0] if found else np.empty(0, np.int64)
         indices = _select(
             walls, clearance_of(walls), ends, necks, 1.0 / resolution, config.free_depth,
             config.narrowing, config.mean_narrowing, config.widening, config.hallway_length,
-            before, config.thickest_wall / resolution,
+            np.concatenate([ends[before], ends]), len(before), config.thickest_wall / resolution,
         )  # fmt: skip
-        found.append(indices.astype(np.int64))
+        found.append(np.array(indices, np.int64))
     order = np.concatenate(found)
     return Passages(ends[order], np.arange(len(order)) < len(found[0]))

@@ -220,12 +220,12 @@ def _candidates(
     posts: IntArray,
     longest: float,
     slides: FloatArray,
+    reaches: FloatArray,
 ) -> list[tuple[float, float, float, float, float, float]]:
     """Locally shortest chords: x, y of both ends and how much each end extends its wall."""
     points, following, previous = outline
     found = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]
     found.clear()
-    reaches = np.array([1.5, 3.0]) * slides[-1]
     is_post = np.zeros(len(points), np.bool_)
     for i in posts:
         is_post[i] = True
@@ -297,7 +297,7 @@ def find_virtual_lines(
     slides = np.array([0.5, 1.0]) * slide
     found = _candidates(
         np.ascontiguousarray(free), (outlines.points, outlines.next, outlines.previous),
-        posts, longest, slides,
+        posts, longest, slides, np.array([1.5, 3.0]) * slides[-1],
     )  # fmt: skip
     table = np.array(found, float).reshape(-1, 6)
     ends, extends = table[:, :4].reshape(-1, 2, 2), table[:, 4:]
