@@ -55,7 +55,9 @@ class PoseGraph:
         graph.add(edge for edge in self.edges if id(edge) not in gone)
         return graph
 
-    def optimise(self, initial: FloatArray, convex_start: bool = False) -> FloatArray:
+    def optimise(
+        self, initial: FloatArray, convex_start: bool = False, tolerance: float = 1e-5
+    ) -> FloatArray:
         """Most likely poses (K, 3), by Levenberg-Marquardt.
 
         Args:
@@ -63,9 +65,10 @@ class PoseGraph:
             convex_start: solve without robust kernels first. A loop that is far off at the start
                 would otherwise never get the influence to pull the trajectory to it; this is the
                 first step of graduated non-convexity, and the loops are consistent already.
+            tolerance: relative change of the error at which to stop.
         """
         parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setRelativeErrorTol(1e-5)
+        parameters.setRelativeErrorTol(tolerance)
         parameters.setMaxIterations(30)
         values = _values(initial)
         if convex_start:

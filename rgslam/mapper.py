@@ -44,6 +44,8 @@ from rgslam.types import (
 _STANDING = np.diag([0.01**2, 0.01**2, 0.005**2])
 #: Sigmas by which a loop must be off before the poses are optimised at once.
 _SURPRISING_SIGMAS = 3.0
+#: While the run goes on, poses need not be better than the next loop makes them.
+_UNDERWAY_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,16 +246,17 @@ class Mapper:
         far_off = mahalanobis(edges, self._poses) > _SURPRISING_SIGMAS
         surprise = bool(far_off.any()) or any(loop.wide for loop in loops)
         if surprise or self._unsettled > self.config.factor_graph.optimise_every:
-            self._optimise(convex_start=any(loop.wide for loop in loops))
+            self._optimise(any(loop.wide for loop in loops), _UNDERWAY_TOLERANCE)
 
-    def _optimise(self, convex_start: bool = False) -> None:
+    def _optimise(self, convex_start: bool = False, tolerance: float = 1e-5) -> None:
         """Most likely poses; loops that the others outvote are taken back.
 
         Args:
             convex_start: a loop may be far off: it must pull before the robust kernel doubts it.
+            tolerance: relative change of the error at which to stop.
         """
         before = self._poses
-        self._poses = self._graph.optimise(before, convex_start=convex_start)
+        self._poses = self._graph.optimise(before, convex_start, tolerance)
         sigmas = mahalanobis([loop.edge for loop in self._closer.accepted], self._poses)
         limit = self.config.factor_graph.max_loop_sigmas
         outvoted = [
@@ -262,7 +265,7 @@ class Mapper:
         if outvoted:
             self._graph = self._graph.without(loop.edge for loop in outvoted)
             self._closer.take_back(outvoted, self._graph.edges)
-            self._poses = self._graph.optimise(before, convex_start=convex_start)
+            self._poses = self._graph.optimise(before, convex_start, tolerance)
         self._wTb = compose(self._poses[-1], self._track.kTb[-1])
         self._unsettled = 0
 
