@@ -12,12 +12,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+if TYPE_CHECKING:
+    from rgslam.camera import StereoCamera
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+GreyImage = npt.NDArray[np.uint8]  # (height, width)
+Mask = npt.NDArray[np.bool_]
 
 #: Called by long stages: (stage name, items done, items in all or None where nobody knows).
 ProgressCallback = Callable[[str, int, "int | None"], None]
@@ -49,6 +55,22 @@ class Odometry:
 
     stamp: float  # s
     oTb: FloatArray  # (3,), x, y, theta
+    record: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class StereoPair:
+    """Two images taken at the same moment, rectified: rows correspond, no distortion.
+
+    Frame `c` is the left rectified camera: z forward, x right, y down.
+    """
+
+    stamp: float  # s
+    left: GreyImage  # (height, width)
+    right: GreyImage  # (height, width)
+    camera: StereoCamera
+    bTc: FloatArray  # (4, 4), pose of the left camera on the robot
+    valid: tuple[Mask | None, Mask | None] = (None, None)  # pixels that were recorded; None = all
     record: int = 0
 
 
