@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The rgslam authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a simulated run really was: poses, regions and gateways, kept as `truth.json`.
+"""What a simulated run really was: poses, regions, gateways and rectangles, kept as `truth.json`.
 
 Frame: the world frame of the building. A map's frame differs from it by one rigid motion, which the
-metrics remove.
+metrics remove. A rectangle's frame `r` has its origin at the centre, x along the width, y along the
+height (up), z along the normal towards the side it is seen from.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from rgslam.errors import EvaluationError
+from rgslam.camera import StereoCamera
+from rgslam.errors import CalibrationError, EvaluationError
 from rgslam.types import FloatArray, GatewayClass, RegionClass, Trajectory
 
 FORMAT = "rgslam/truth"
@@ -47,6 +50,53 @@ class TruthGateway:
 
 
 @dataclass(frozen=True, eq=False)
+class TruthRectangle:
+    """A rectangular thing as it was built; a door leaf is two of them, one per face."""
+
+    name: str
+    label: str  # what it is: door, whiteboard, poster, monitor, ...
+    wTr: FloatArray  # (4, 4)
+    size: FloatArray  # (2,), width and height, m
+    cuboid: str | None = None  # name of the cuboid that it is a face of
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners (4, 3) in w, counter-clockwise from the lower left as seen from its side."""
+        signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) / 2.0
+        flat = np.column_stack([signs * self.size, np.zeros(4)])
+        return flat @ self.wTr[:3, :3].T + self.wTr[:3, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class TruthCuboid:
+    """A cabinet or a box as it was built."""
+
+    name: str
+    wTo: FloatArray  # (4, 4), origin at its centre, z up
+    size: FloatArray  # (3,), along its x, y and z, m
+
+
+@dataclass(frozen=True, eq=False)
+class TruthSight:
+    """A rectangle in a stereo frame, seen from its side and at least in part."""
+
+    rectangle: str  # name of the `TruthRectangle`
+    corners_px: FloatArray  # (4, 2), left image, in the order of `TruthRectangle.corners`;
+    # NaN for a corner behind the camera
+    whole: bool  # wholly inside both images, and nothing hides a part of it from the left camera
+    visible_share: float  # of its area, 0..1: inside the left image and not hidden
+
+
+@dataclass(frozen=True, eq=False)
+class TruthFrame:
+    """What a stereo pair shows."""
+
+    stamp: float  # s
+    wTb: FloatArray  # (3,)
+    sights: tuple[TruthSight, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Truth:
     """The ground truth of one recording."""
 
@@ -55,34 +105,73 @@ class Truth:
     trajectory: Trajectory  # pose of the robot base at every laser scan, in recording order
     regions: tuple[TruthRegion, ...]
     gateways: tuple[TruthGateway, ...]
+    rectangles: tuple[TruthRectangle, ...] = ()
+    cuboids: tuple[TruthCuboid, ...] = ()
+    frames: tuple[TruthFrame, ...] = ()  # one per stereo pair, in recording order
+    camera: StereoCamera | None = None  # None = the recording has no stereo
+    bTc: FloatArray | None = None  # (4, 4), the left camera on the robot
+    odometry: Trajectory | None = None  # pose of the robot base at every odometry message
 
     def save(self, path: Path | str) -> None:
         """Write `truth.json`; floats are written so that they read back to the same bits."""
-        content = {
-            "format": FORMAT,
-            "version": VERSION,
-            "world": self.world,
-            "seed": self.seed,
-            "poses": {
-                "stamps": self.trajectory.stamps.tolist(),
-                "wTb": self.trajectory.wTb.tolist(),
-            },
-            "regions": [
-                {"name": r.name, "label": r.label.value, "polygon": r.polygon.tolist()}
-                for r in self.regions
-            ],
-            "gateways": [
-                {
-                    "name": g.name,
-                    "label": g.label.value,
-                    "regions": list(g.regions),
-                    "points": g.points.tolist(),
-                    "width": g.width,
-                }
-                for g in self.gateways
-            ],
-        }
-        Path(path).write_text(json.dumps(content) + "\n", encoding="utf-8")
+        text = json.dumps(_content(self), allow_nan=False)
+        Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def _content(truth: Truth) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "world": truth.world,
+        "seed": truth.seed,
+        "poses": _poses_content(truth.trajectory),
+        "odometry": None if truth.odometry is None else _poses_content(truth.odometry),
+        "camera": None if truth.camera is None else dataclasses.asdict(truth.camera),
+        "bTc": None if truth.bTc is None else truth.bTc.tolist(),
+        "regions": [
+            {"name": r.name, "label": r.label.value, "polygon": r.polygon.tolist()}
+            for r in truth.regions
+        ],
+        "gateways": [
+            {
+                "name": g.name,
+                "label": g.label.value,
+                "regions": list(g.regions),
+                "points": g.points.tolist(),
+                "width": g.width,
+            }
+            for g in truth.gateways
+        ],
+        "rectangles": [_plain(rectangle) for rectangle in truth.rectangles],
+        "cuboids": [_plain(cuboid) for cuboid in truth.cuboids],
+        "frames": [
+            {
+                "stamp": frame.stamp,
+                "wTb": frame.wTb.tolist(),
+                "sights": [
+                    {**_plain(sight), "corners_px": _pixels_content(sight.corners_px)}
+                    for sight in frame.sights
+                ],
+            }
+            for frame in truth.frames
+        ],
+    }
+
+
+def _poses_content(poses: Trajectory) -> dict[str, Any]:
+    return {"stamps": poses.stamps.tolist(), "wTb": poses.wTb.tolist()}
+
+
+def _plain(item: TruthRectangle | TruthCuboid | TruthSight) -> dict[str, Any]:
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in vars(item).items()
+    }
+
+
+def _pixels_content(pixels: FloatArray) -> list[list[float] | None]:
+    """A corner behind the camera is null: JSON has no NaN."""
+    return [None if np.isnan(pixel).any() else pixel.tolist() for pixel in pixels]
 
 
 def read_truth(path: Path | str) -> Truth:
@@ -106,16 +195,19 @@ def read_truth(path: Path | str) -> Truth:
         return _parse(content)
     except KeyError as error:
         raise EvaluationError(f"{path}: field {error} is missing") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, AttributeError, CalibrationError) as error:
         raise EvaluationError(f"{path}: {error}") from error
 
 
 def _parse(content: dict[str, Any]) -> Truth:
-    stamps = np.asarray(content["poses"]["stamps"], float)
+    camera, bTc = content.get("camera"), content.get("bTc")
+    odometry = content.get("odometry")
+    rectangles = tuple(_rectangle(r) for r in content.get("rectangles", []))
+    known = {rectangle.name for rectangle in rectangles}
     return Truth(
         world=str(content["world"]),
         seed=int(content["seed"]),
-        trajectory=Trajectory(stamps, _rows(content["poses"]["wTb"], 3, "poses.wTb", stamps.size)),
+        trajectory=_poses(content["poses"], "poses"),
         regions=tuple(
             TruthRegion(
                 str(r["name"]),
@@ -133,7 +225,79 @@ def _parse(content: dict[str, Any]) -> Truth:
             )
             for g in content["gateways"]
         ),
+        rectangles=rectangles,
+        cuboids=tuple(_cuboid(c) for c in content.get("cuboids", [])),
+        frames=tuple(_frame(f, known) for f in content.get("frames", [])),
+        camera=None if camera is None else StereoCamera(**camera),
+        bTc=None if bTc is None else _pose(bTc, "bTc"),
+        odometry=None if odometry is None else _poses(odometry, "odometry"),
     )
+
+
+def _poses(content: dict[str, Any], name: str) -> Trajectory:
+    stamps = np.asarray(content["stamps"], float)
+    return Trajectory(stamps, _rows(content["wTb"], 3, f"{name}.wTb", stamps.size))
+
+
+def _rectangle(content: dict[str, Any]) -> TruthRectangle:
+    name, cuboid = str(content["name"]), content["cuboid"]
+    return TruthRectangle(
+        name,
+        str(content["label"]),
+        _pose(content["wTr"], f"wTr of rectangle {name}"),
+        _size(content["size"], 2, f"size of rectangle {name}"),
+        None if cuboid is None else str(cuboid),
+    )
+
+
+def _cuboid(content: dict[str, Any]) -> TruthCuboid:
+    name = str(content["name"])
+    return TruthCuboid(
+        name,
+        _pose(content["wTo"], f"wTo of cuboid {name}"),
+        _size(content["size"], 3, f"size of cuboid {name}"),
+    )
+
+
+def _frame(content: dict[str, Any], known: set[str]) -> TruthFrame:
+    stamp = float(content["stamp"])
+    name = f"frame at {stamp!r}"
+    wTb = _rows([content["wTb"]], 3, f"wTb of {name}")[0]
+    return TruthFrame(stamp, wTb, tuple(_sight(s, known, name) for s in content["sights"]))
+
+
+def _sight(content: dict[str, Any], known: set[str], frame: str) -> TruthSight:
+    rectangle, share = str(content["rectangle"]), float(content["visible_share"])
+    if rectangle not in known:
+        raise ValueError(f"{frame}: there is no rectangle {rectangle!r}")
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"{frame}: visible_share of {rectangle!r} is {share!r}, not in 0..1")
+    corners_px = np.full((4, 2), np.nan)
+    name = f"{frame}: corners_px of {rectangle!r}"
+    if len(content["corners_px"]) != 4:
+        raise ValueError(f"{name}: expected 4, got {len(content['corners_px'])}")
+    for i, corner in enumerate(content["corners_px"]):
+        if corner is not None:
+            corners_px[i] = _rows([corner], 2, name)[0]
+    return TruthSight(rectangle, corners_px, bool(content["whole"]), share)
+
+
+def _pose(values: object, name: str) -> FloatArray:
+    """A rigid motion (4, 4), or a ValueError that names the field."""
+    pose = _rows(values, 4, name, 4)
+    rotation = pose[:3, :3]
+    # What is left of a rotation written with six digits
+    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) and np.linalg.det(rotation) > 0
+    if not rigid or not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ValueError(f"{name}: is no rotation and translation")
+    return pose
+
+
+def _size(values: object, count: int, name: str) -> FloatArray:
+    size = _rows([values], count, name)[0]
+    if not (size > 0.0).all():
+        raise ValueError(f"{name}: {size.tolist()} is not positive")
+    return size
 
 
 def _rows(values: object, columns: int, name: str, count: int | None = None) -> FloatArray:

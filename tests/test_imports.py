@@ -14,7 +14,7 @@ import pytest
 import rgslam
 
 PACKAGE = Path(rgslam.__file__).parent
-FOUNDATION = {"types", "geometry", "errors", "config"}
+FOUNDATION = {"types", "geometry", "errors", "config", "camera"}
 # Above the stages, the lower first; what is not named in this file is a stage.
 ABOVE = ["loaders", "simulation", "mapper", "pipeline", "demo", "cli"]
 # They read or write results and recordings; `rg_map` is the result itself.
