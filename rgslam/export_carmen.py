@@ -30,7 +30,8 @@ def write_carmen(recording: Recording, path: Path | str) -> None:
     """Write the scans and the odometry of a recording, whole or not at all.
 
     Odometry is interpolated to the stamp of each scan. Ranges are written to 0.1 mm, poses to 1 um
-    and 1 urad, stamps so that they read back exactly. Offsets in time between beams are lost.
+    and 1 urad, stamps so that they read back exactly. Offsets in time between beams and images are
+    lost.
 
     Raises:
         RecordingError: no scan, a scan without odometry, beams that are not evenly spaced, or the
@@ -54,6 +55,7 @@ def _lines(recording: Recording) -> Iterator[str]:
     for message in with_odometry(recording.messages()):
         if isinstance(message, Odometry):
             yield _odometry_line(message)
+        if not isinstance(message, LaserScan):
             continue
         if first is None:
             first = message

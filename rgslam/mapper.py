@@ -114,8 +114,10 @@ class Mapper:
         """
         if isinstance(message, Odometry):
             ready = self._odometry.add_odometry(message)
-        else:
+        elif isinstance(message, LaserScan):
             ready = self._odometry.add_scan(message)
+        else:
+            return []
         return [self._add_scan(scan, oTb) for scan, oTb in ready]
 
     def _add_scan(self, scan: LaserScan, oTb: FloatArray | None) -> StepResult:

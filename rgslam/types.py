@@ -74,7 +74,8 @@ class StereoPair:
     record: int = 0
 
 
-Message = LaserScan | Odometry
+#: What the mapper takes, in the order of the recording.
+Message = LaserScan | Odometry | StereoPair
 
 
 class Severity(Enum):

@@ -19,7 +19,8 @@ def with_odometry(messages: Iterable[Message]) -> Iterator[Message]:
     """Give each scan that has none the odometry at its stamp.
 
     A scan is held back until odometry with a later stamp comes, so scans and odometry each keep
-    their order. A scan before the first or after the last odometry takes the nearest.
+    their order; other messages go on at once. A scan before the first or after the last odometry
+    takes the nearest.
     """
     before: Odometry | None = None
     held: deque[LaserScan] = deque()
@@ -28,6 +29,9 @@ def with_odometry(messages: Iterable[Message]) -> Iterator[Message]:
             held.append(message)
             if len(held) > _HELD_SCANS:
                 yield held.popleft()
+            continue
+        if not isinstance(message, Odometry):
+            yield message
             continue
         while held and held[0].stamp <= message.stamp:
             yield _completed(held.popleft(), before, message)

@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage: a stereo pair of the run -> the rectangles seen in it, and from where.
+
+Frames: `k` a keyframe, `b` the robot at the stamp of the images, `c` the left rectified camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rgslam.camera import StereoCamera
+from rgslam.config import Config
+from rgslam.rectangles.detection import DetectedRectangle, detect_rectangles
+from rgslam.rectangles.rejection import Rejection
+from rgslam.types import FloatArray, StereoPair
+
+
+@dataclass(frozen=True, eq=False)
+class FrameObservations:
+    """What one stereo pair of the run shows; the images themselves are let go."""
+
+    stamp: float  # s
+    camera: StereoCamera
+    bTc: FloatArray  # (4, 4), pose of the left camera on the robot
+    rectangles: tuple[DetectedRectangle, ...]  # the most credible first
+    rejected: Mapping[Rejection, int]  # hypotheses refused, by reason
+    record: int = 0  # message number in the recording, for messages to people
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedFrame:
+    """Observations with the place from where they were made."""
+
+    observations: FrameObservations
+    keyframe: int  # number of the keyframe before it
+    kTb: FloatArray  # (3,), pose of the robot at the stamp of the images, in the keyframe
+    covariance: FloatArray  # (3, 3), tangent space of gtsam.Pose2 at kTb: x, y, theta
+
+
+def observe_frame(pair: StereoPair, config: Config | None = None) -> FrameObservations:
+    """Find the rectangles in a rectified pair of the run.
+
+    Args:
+        pair: the images.
+        config: sections `stereo` and `rectangles`.
+
+    Raises:
+        CalibrationError: an image is not of the camera's size.
+    """
+    found = detect_rectangles(pair.left, pair.right, pair.camera, config, pair.valid)
+    return FrameObservations(
+        pair.stamp, pair.camera, pair.bTc, found.rectangles, found.rejected, pair.record
+    )
