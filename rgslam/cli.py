@@ -423,6 +423,35 @@ def depth_noise_experiment(
     _print_json(result.to_dict()) if as_json else print_depth_noise(result)
 
 
+@experiment_app.command("regions")
+@_stoppable
+def regions_experiment(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Plans with NAME_gt_segmentation.png.")
+    ],
+    resolution: Annotated[
+        float, typer.Option("--resolution", min=0.001, help="Metres per pixel.")
+    ] = 0.05,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Folder for pictures, truth beside ours.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Segment floor plans with known regions; print the scores beside other methods'.
+
+    \b
+    Example:
+      rgslam experiment regions datasets/floorplans --plot out/plans
+    """
+    from rgslam.cli_output import StageProgress
+    from rgslam.experiments import run_regions
+    from rgslam.experiments.tables import print_regions
+
+    with StageProgress() as progress:
+        result = run_regions(folder, resolution, plot, progress=progress.update)
+    _print_json(result.to_dict()) if as_json else print_regions(result)
+
+
 def _step(degrees: float) -> float:
     if abs(360.0 / degrees - round(360.0 / degrees)) > 1e-9:
         raise typer.BadParameter(f"{degrees:g} does not divide 360", param_hint="--step")

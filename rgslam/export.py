@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from rgslam.errors import MapError
 from rgslam.map_folder import write_folder
 from rgslam.map_json import encode_rg_map
+from rgslam.occupancy_grid import grid_from_image
 from rgslam.types import OccupancyGrid
 
 if TYPE_CHECKING:
@@ -33,10 +35,6 @@ OCCUPIED_PIXEL, FREE_PIXEL, UNKNOWN_PIXEL = 0, 254, 205
 #: map_server's own defaults. Pixel 205 is a probability of 50/255 = 0.19608, so that the lower one
 #: must not be rounded up, or the unknown would read back as free.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
-
-#: In an image without a YAML file only white is free (pixel 250 and above: map_server writes 254,
-#: others 255). What is light grey there is furniture or something nobody has seen.
-_WHITE_THRESHOLD = 5.5 / 255.0
 
 _YAML_SUFFIXES = (".yaml", ".yml")
 
@@ -69,8 +67,9 @@ class _MapServerYaml(BaseModel):
 def read_grid(path: Path | str, resolution: float | None = None) -> OccupancyGrid:
     """Read an occupancy grid: a PNG or PGM image, or the YAML file of map_server.
 
-    In a bare image white is free, dark is occupied and what is grey is unknown; its lower left
-    corner lies in the world's origin.
+    A bare image is read as `grid_from_image` does: white is free, map_server's grey 205 unknown and
+    any other grey occupied (drawings blur the edges of their walls). Its lower left corner lies in
+    the world's origin.
 
     Args:
         path: the image or the YAML file. The image that a YAML file names must lie in its folder.
@@ -92,20 +91,19 @@ def read_grid(path: Path | str, resolution: float | None = None) -> OccupancyGri
     elif resolution is None:
         raise MapError(f"{path}: an image has no resolution; give it in metres per cell")
     else:
-        settings = _MapServerYaml(
-            image=path.name,
-            resolution=resolution,
-            origin=(0.0, 0.0, 0.0),
-            occupied_thresh=OCCUPIED_THRESHOLD,
-            free_thresh=_WHITE_THRESHOLD,
-        )
-        image_path = path
+        return _read_bare_image(path, resolution)
     occupancy = _probabilities(_read_image(image_path), settings)
     return OccupancyGrid(
         occupancy=np.ascontiguousarray(occupancy[::-1]),
         resolution=settings.resolution if resolution is None else resolution,
         origin=np.asarray(settings.origin[:2], float),
     )
+
+
+def _read_bare_image(path: Path, resolution: float) -> OccupancyGrid:
+    bright, seen = _brightness(_read_image(path))
+    grid = grid_from_image(np.rint(bright * 255.0).astype(np.uint8), resolution)
+    return replace(grid, occupancy=np.where(seen[::-1], grid.occupancy, np.float32(np.nan)))
 
 
 def _read_map_server_yaml(path: Path) -> _MapServerYaml:
@@ -159,18 +157,24 @@ def _read_image(path: Path) -> npt.NDArray[Any]:
     return np.asarray(image)
 
 
-def _probabilities(image: npt.NDArray[Any], settings: _MapServerYaml) -> npt.NDArray[np.float32]:
-    """Probability of occupied per pixel as map_server defines it, NaN = unknown."""
+def _brightness(image: npt.NDArray[Any]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """Brightness (H, W) from 0 to 1, mean over the colours, and which pixels are opaque."""
     whole = float(np.iinfo(image.dtype).max)
     channels = image[:, :, None] if image.ndim == 2 else image
     has_alpha = channels.shape[2] in (2, 4)
     colours = channels[:, :, :-1] if has_alpha else channels
     bright = colours.mean(axis=2, dtype=np.float64) / whole
     seen = channels[:, :, -1] > whole / 2.0 if has_alpha else np.ones(bright.shape, bool)
+    return bright, seen
+
+
+def _probabilities(image: npt.NDArray[Any], settings: _MapServerYaml) -> npt.NDArray[np.float32]:
+    """Probability of occupied per pixel as map_server defines it, NaN = unknown."""
+    bright, seen = _brightness(image)
     occupied = bright if settings.negate else 1.0 - bright
     low, high = settings.free_thresh, settings.occupied_thresh
     if settings.mode == "raw":  # the pixel is the percentage; above 100 is unknown
-        percent = bright * whole
+        percent = bright * float(np.iinfo(image.dtype).max)
         result = np.where(percent <= 100.0, percent / 100.0, np.nan)
     else:
         between = (occupied - low) / max(high - low, 1e-9) if settings.mode == "scale" else np.nan

@@ -20,6 +20,7 @@ from hypothesis.extra import numpy as hnp
 from rgslam.errors import MapError
 from rgslam.export import encode_grid, read_grid, write_segmentation
 from rgslam.map_json import schema
+from rgslam.occupancy_grid import grid_from_image
 from rgslam.types import OccupancyGrid, Segmentation
 
 #: Three rows from the top: occupied, free, unknown for map_server.
@@ -51,11 +52,17 @@ def test_an_image_is_read_with_its_last_row_lowest(tmp_path: Path, suffix: str) 
     assert grid.origin.tolist() == [0.0, 0.0]
 
 
-def test_in_a_bare_image_only_white_is_free(tmp_path: Path) -> None:
+def test_in_a_bare_image_only_white_is_free_and_the_blurred_edge_of_a_wall_is_wall(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "plan.png"
-    cv2.imwrite(str(path), np.array([[255, 250, 249, 211, 100, 80, 0]], np.uint8))
-    expected = [[0.0, 0.0, NAN, NAN, NAN, 1.0, 1.0]]
-    np.testing.assert_array_equal(read_grid(path, 0.05).occupancy, expected)
+    image = np.array([[255, 250, 249, 211, 205, 100, 80, 0]], np.uint8)
+    cv2.imwrite(str(path), image)
+    occupancy = read_grid(path, 0.05).occupancy
+    assert (occupancy[0, :2] < 0.5).all()
+    assert (occupancy[0, [2, 3, 5, 6, 7]] > 0.5).all()
+    assert np.isnan(occupancy[0, 4])
+    np.testing.assert_array_equal(occupancy, grid_from_image(image, 0.05).occupancy)
 
 
 def test_a_map_server_file_brings_resolution_and_origin(tmp_path: Path) -> None:

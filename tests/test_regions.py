@@ -2,10 +2,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Regions: right on clean floors, the same at any angle, and nothing where there is nothing."""
 
-import os
-import sys
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -20,8 +16,6 @@ from rgslam.errors import MapError
 from rgslam.geometry import inverse, transform_points
 from rgslam.outlines import signed_area, trace_outlines
 from rgslam.types import OccupancyGrid, RegionClass
-
-DATA = Path(os.environ.get("RGSLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
 @pytest.fixture(scope="module")
@@ -227,28 +221,3 @@ def test_outlines_are_exact():
     polygons = trace_outlines(cells, 0.0).polygons()
     assert sorted(signed_area(p) for p in polygons) == [-2.0, 1.0, 20.0]
     assert sum(signed_area(p) for p in polygons) == cells.sum()
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("suffix", ["", "_furnitures"])
-def test_public_floor_plans(suffix):
-    plans = DATA / "floorplans"
-    if not plans.is_dir():
-        pytest.skip(f"the floor plans are not at {plans} (set RGSLAM_DATA)")
-    sys.path.insert(0, str(plans))
-    try:
-        import score_regions
-    finally:
-        sys.path.remove(str(plans))
-    rows = []
-    for truth in sorted(plans.glob("*_gt_segmentation.png")):
-        name = truth.name.removesuffix("_gt_segmentation.png")
-        image = cv2.imread(str(plans / f"{name}{suffix}.png"), cv2.IMREAD_GRAYSCALE)
-        labels = segment_grid(image, 0.05).labels[::-1].astype(np.int64)
-        score = score_regions.score(labels, score_regions.load_gt(str(truth)))
-        rows.append([score[k] for k in ("recall", "precision", "f1_50")])
-    recall, precision, f1 = np.mean(rows, axis=0)
-    assert len(rows) == 10
-    assert recall > 0.9
-    assert precision > 0.9
-    assert f1 > 0.8

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from rgslam.experiments.depth_noise import DepthNoiseResult, DepthNoiseRow
 from rgslam.experiments.discretization import DiscretizationResult
+from rgslam.experiments.regions import RegionsResult, VariantScore
 from rgslam.experiments.rules import (
     PAPER_FALSE_ABOVE,
     PAPER_FALSE_ACCURACY,
@@ -21,6 +22,9 @@ from rgslam.experiments.rules import (
 )
 
 _FILE_WIDTH = 120  # columns: the widest table
+#: Columns of words; numbers stand to the right.
+_WORDS = {"size cm", "corners", "method", "question", "object", "rule", "answer"}
+_WORDS |= {"figure", "plan", "peers, empty", "peers, furnished"}
 
 
 def print_discretization(result: DiscretizationResult, console: Console | None = None) -> None:
@@ -131,6 +135,64 @@ def _spread_here(result: DepthNoiseResult, name: str) -> str:
     return " / ".join(f"{min(all_):.2f}–{max(all_):.1f}" for all_ in (widths, heights))
 
 
+def print_regions(result: RegionsResult, console: Console | None = None) -> None:
+    """Print ours per variant beside the peers, and every plan."""
+    _print(
+        console,
+        f"Regions and gateways, mean over {result.variants[0].plans} plans, percent",
+        ["figure", *(v.variant.strip("_") or "empty" for v in result.variants)],
+        [
+            [figure, *(values[figure] for values in map(_region_figures, result.variants))]
+            for figure in _region_figures(result.variants[0])
+        ],
+    )
+    _print(
+        console,
+        "Other methods",
+        ["figure", "peers, empty", "peers, furnished"],
+        [[peer.figure, peer.empty, peer.furnished] for peer in result.peers],
+    )
+    columns = ["recall", "precision", "F1", "PQ", "regions", "true", "gateways P", "R", "s"]
+    _print(
+        console,
+        "Every plan",
+        ["plan", *columns],
+        [
+            [
+                score.plan + score.variant,
+                *(
+                    f"{100 * share:.1f}"
+                    for share in (
+                        score.regions.recall,
+                        score.regions.precision,
+                        score.regions.f1,
+                        score.regions.panoptic_quality,
+                    )
+                ),
+                str(score.regions.found),
+                str(score.regions.true),
+                f"{100 * score.gateways.precision:.1f}",
+                f"{100 * score.gateways.recall:.1f}",
+                f"{score.seconds:.2f}",
+            ]
+            for score in result.plans
+        ],
+    )
+
+
+def _region_figures(score: VariantScore) -> dict[str, str]:
+    return {
+        "recall": f"{100 * score.recall:.1f}",
+        "precision": f"{100 * score.precision:.1f}",
+        "F1": f"{100 * score.f1:.1f}",
+        "PQ": f"{100 * score.panoptic_quality:.1f}",
+        "gateway precision": f"{100 * score.gateway_precision:.1f}",
+        "gateway recall": f"{100 * score.gateway_recall:.1f}",
+        "seconds, mean": f"{score.mean_seconds:.2f}",
+        "seconds, worst": f"{score.worst_seconds:.2f}",
+    }
+
+
 def _shares(result: RulesResult) -> list[dict[str, float]]:
     return [result.not_reconstructable, result.below_10cm, result.below_5cm]
 
@@ -157,9 +219,21 @@ def _print(
     console: Console | None, title: str, columns: Sequence[str], rows: list[list[str]]
 ) -> None:
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
-    texts = {"size cm", "corners", "method", "question", "object", "rule", "answer"}
+    texts = {
+        "figure",
+        "plan",
+        "peers, empty",
+        "peers, furnished",
+        "size cm",
+        "corners",
+        "method",
+        "question",
+        "object",
+        "rule",
+        "answer",
+    }
     for column in columns:
-        table.add_column(column, justify="left" if column in texts else "right")
+        table.add_column(column, justify="left" if column in _WORDS else "right")
     for row in rows:
         table.add_row(*row)
     console = console or Console()
