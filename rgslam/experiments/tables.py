@@ -219,19 +219,6 @@ def _print(
     console: Console | None, title: str, columns: Sequence[str], rows: list[list[str]]
 ) -> None:
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
-    texts = {
-        "figure",
-        "plan",
-        "peers, empty",
-        "peers, furnished",
-        "size cm",
-        "corners",
-        "method",
-        "question",
-        "object",
-        "rule",
-        "answer",
-    }
     for column in columns:
         table.add_column(column, justify="left" if column in _WORDS else "right")
     for row in rows:
