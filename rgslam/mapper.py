@@ -17,10 +17,12 @@ from rgslam import __version__
 from rgslam.config import Config
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
+from rgslam.frame_placing import FramePlacer, ScanPlace
 from rgslam.gateways import detect_crossings
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
+from rgslam.observations import FrameObservations, observe_frame
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
 from rgslam.regions import segment_grid
@@ -36,6 +38,7 @@ from rgslam.types import (
     Odometry,
     PoseEdge,
     ProgressCallback,
+    StereoPair,
     Trajectory,
 )
 
@@ -83,6 +86,7 @@ class Mapper:
         self.config = config or Config()
         self.clock = clock or StageClock()
         self._odometry = OdometryBuffer()
+        self._frames = FramePlacer(self._odometry)
         self._track = _Track()
         self._closer = LoopCloser(self.config.loop_closing)
         self._graph = PoseGraph(self.config.factor_graph.loop_kernel)
@@ -100,10 +104,12 @@ class Mapper:
 
     # --- One message ---------------------------------------------------------------------------
 
-    def add(self, message: Message) -> list[StepResult]:
+    def add(self, message: Message | FrameObservations) -> list[StepResult]:
         """Take the next message of a recording.
 
-        A scan that waits for odometry after its stamp is processed as soon as that comes.
+        A scan that waits for odometry after its stamp is processed as soon as that comes. The
+        rectangles of a stereo pair are found at once, unless `observe_frame` already found them
+        and its result is given instead.
 
         Returns:
             A result for every scan that was processed now: often one, none for odometry that no
@@ -111,13 +117,18 @@ class Mapper:
 
         Raises:
             RecordingError: a scan whose beams are not evenly spaced.
+            CalibrationError: images that are not of their camera's size.
         """
+        if isinstance(message, StereoPair):
+            with self.clock.stage("rectangles"):
+                message = observe_frame(message, self.config)
+        if isinstance(message, FrameObservations):
+            self._frames.add(message)
+            return []
         if isinstance(message, Odometry):
             ready = self._odometry.add_odometry(message)
-        elif isinstance(message, LaserScan):
-            ready = self._odometry.add_scan(message)
         else:
-            return []
+            ready = self._odometry.add_scan(message)
         return [self._add_scan(scan, oTb) for scan, oTb in ready]
 
     def _add_scan(self, scan: LaserScan, oTb: FloatArray | None) -> StepResult:
@@ -203,6 +214,17 @@ class Mapper:
             between(self._poses[-1], self._wTb) if len(self._poses) else self._wTb
         )
         self._track.predicted_only += not match.trusted
+        self._frames.add_scan(
+            ScanPlace(
+                scan.stamp,
+                oTb,
+                self._track.keyframe[-1],
+                self._track.kTb[-1],
+                self._since_keyframe,
+                match.information / self.config.scan_matching.beam_correlation,
+                odometry.covariance * match.doubt,
+            )
+        )
 
     def _is_news(self, points: ScanPoints, match: LocalMatch) -> bool:
         if not len(self._poses):
@@ -224,6 +246,7 @@ class Mapper:
         self._keyframe_path.append(self._path)
         self._track.keyframe[-1] = number
         self._track.kTb[-1] = np.zeros(3)
+        self._frames.became_keyframe(number)
         self._since_keyframe = np.zeros((3, 3))
         return number
 
@@ -320,6 +343,7 @@ class Mapper:
             edges=tuple(self._graph.edges),
             grid=grid,
             config=self.config,
+            frames=tuple(self._frames.frames()),
             run=RunInfo(
                 version=__version__,
                 recording=recording,

@@ -66,7 +66,7 @@ class OdometryBuffer:
         ready = []
         while self._waiting and self._waiting[0].stamp <= newest:
             scan = self._waiting.popleft()
-            ready.append((scan, self._at(scan.stamp)))
+            ready.append((scan, self.at(scan.stamp)))
         return ready
 
     def add_scan(self, scan: LaserScan) -> list[tuple[LaserScan, FloatArray | None]]:
@@ -78,16 +78,16 @@ class OdometryBuffer:
         ready = []
         while scan.stamp - self._waiting[0].stamp > self._horizon:
             late = self._waiting.popleft()
-            ready.append((late, self._at(late.stamp)))
+            ready.append((late, self.at(late.stamp)))
         return ready
 
     def flush(self) -> list[tuple[LaserScan, FloatArray | None]]:
         """The scans that still wait, at the end of a recording."""
-        ready = [(scan, self._at(scan.stamp)) for scan in self._waiting]
+        ready = [(scan, self.at(scan.stamp)) for scan in self._waiting]
         self._waiting.clear()
         return ready
 
-    def _at(self, stamp: float) -> FloatArray | None:
+    def at(self, stamp: float) -> FloatArray | None:
         """oTb at a stamp; the ends are held for as long as odometry itself is apart."""
         if not self._odometry:
             return None

@@ -31,6 +31,7 @@ from rgslam.map_files import (
 )
 from rgslam.map_folder import check_replaceable, write_folder
 from rgslam.map_json import decode_rg_map, encode_rg_map
+from rgslam.observations import PlacedFrame
 from rgslam.types import Gateway, Keyframes, OccupancyGrid, PoseEdge, Region, Trajectory
 
 if TYPE_CHECKING:
@@ -82,6 +83,7 @@ class RGMap:
     run: RunInfo
     rectangles: tuple[dict[str, Any], ...] = ()  # objects as in rgmap.json
     cuboids: tuple[dict[str, Any], ...] = ()  # objects as in rgmap.json
+    frames: tuple[PlacedFrame, ...] = ()  # what every stereo pair shows, and from where
 
     def region(self, region_id: int) -> Region:
         """The region of that id.
