@@ -86,7 +86,7 @@ def _scan_line(scan: LaserScan, recording: Recording) -> str:
             f"{recording.path}: scan {scan.record} at {_stamp(scan.stamp)} s has no odometry, "
             f"which a CARMEN log needs"
         )
-    n, step = len(scan.angles), _spacing(scan, recording)
+    n, step = len(scan.angles), even_spacing(scan, recording.path, "CARMEN log")
     no_return = (
         max(_NO_RETURN, 1.1 * scan.max_range) if math.isfinite(scan.max_range) else _NO_RETURN
     )
@@ -101,14 +101,19 @@ def _scan_line(scan: LaserScan, recording: Recording) -> str:
     return f"{head} {ranges} 0 {poses} 0 0 0 0 0 {stamps}"
 
 
-def _spacing(scan: LaserScan, recording: Recording) -> float:
+def even_spacing(scan: LaserScan, source: Path, target: str) -> float:
+    """Angle between neighbouring beams, rad.
+
+    Raises:
+        RecordingError: it is not one and the same; names the recording and the format `target`.
+    """
     n = len(scan.angles)
     step = float(scan.angles[-1] - scan.angles[0]) / (n - 1)
     uneven = np.abs(scan.angles - (scan.angles[0] + step * np.arange(n))).max()
     if step <= 0.0 or uneven > _ANGLE_TOLERANCE:
         raise RecordingError(
-            f"{recording.path}: scan {scan.record}: its beams are not evenly spaced "
-            f"counter-clockwise (off by {np.rad2deg(uneven):.3f} degrees): no CARMEN log can say so"
+            f"{source}: scan {scan.record}: its beams are not evenly spaced "
+            f"counter-clockwise (off by {np.rad2deg(uneven):.3f} degrees): no {target} can say so"
         )
     return step
 

@@ -18,7 +18,16 @@ FOUNDATION = {"types", "geometry", "errors", "config", "camera"}
 # Above the stages, the lower first; what is not named in this file is a stage.
 ABOVE = ["loaders", "simulation", "mapper", "pipeline", "demo", "cli"]
 # They read or write results and recordings; `rg_map` is the result itself.
-READERS = {"viewer", "report", "report_plots", "export", "export_carmen", "metrics", "drawing"}
+READERS = {
+    "viewer",
+    "report",
+    "report_plots",
+    "export",
+    "export_carmen",
+    "export_bag",
+    "metrics",
+    "drawing",
+}
 READERS |= {"recording_check", "datasets", "cli_output", "interrupt", "rg_map", "experiments"}
 
 
