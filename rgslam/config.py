@@ -61,6 +61,9 @@ class FactorGraphConfig(StageConfig):
     loop_kernel: float = Field(2.0, gt=0.0)  # sigmas at which the influence of a loop fades
     max_loop_sigmas: float = Field(4.6, gt=0.0)  # a loop farther off is taken back
     optimise_every: int = Field(50, ge=1)  # keyframes between optimisations while loops fit anyway
+    # Unevenness of floor and suspension: roll and pitch of the robot, and its height.
+    floor_tilt_deg: float = Field(0.02, gt=0.0)
+    floor_height: float = Field(0.0005, gt=0.0)  # m
 
 
 class OccupancyGridConfig(StageConfig):

@@ -1,0 +1,315 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which rectangle of which frame is which landmark.
+
+A rectangle is tracked as a Gaussian over pose and size. A sight is compared with it in the image,
+where noise is Gaussian and a vague tilt does no harm: the squared Mahalanobis distance between the
+predicted and the seen corners, with the covariances of the track, of the pixels and of the camera's
+pose relative to where the track was last seen. Sights of one frame must agree on one correction of
+that pose (joint compatibility, Neira and Tardos 2001). Where two tracks explain a sight nearly
+alike, as two doors side by side do, it is given to neither.
+
+Tracks become landmarks after consistent sights (`promoted`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2
+
+from rgslam.camera import StereoCamera
+from rgslam.config import DataAssociationConfig
+from rgslam.factor_graph.stereo_corners import StereoCorners
+from rgslam.rectangles.least_squares import SIDE
+from rgslam.rectangles.maximum_likelihood import corner_jacobians
+from rgslam.types import FloatArray
+
+_MEASURED = 12  # x left, x right, y of four corners
+
+
+@dataclass(frozen=True, eq=False)
+class RectangleState:
+    """A rectangle in the world with its uncertainty."""
+
+    wTr: FloatArray  # (4, 4)
+    size: FloatArray  # (2,), m
+    covariance: FloatArray  # (8, 8), tangent of gtsam.Pose3 at wTr (rotation, translation), size
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners (4, 3) in w, counter-clockwise from the lower left."""
+        return self.wTr[:3, 3] + (0.5 * SIDE * self.size) @ self.wTr[:3, :2].T
+
+    @property
+    def corner_slopes(self) -> FloatArray:
+        """Derivatives (12, 8) of `corners.ravel()` with respect to pose and size."""
+        return corner_jacobians(self.wTr[None, :3, :3], self.size[None])[0].reshape(12, 8)
+
+    def moved(self, delta: FloatArray, covariance: FloatArray) -> RectangleState:
+        """The state after a step (8,) in the tangent space."""
+        from scipy.spatial.transform import Rotation
+
+        wTr = self.wTr.copy()
+        wTr[:3, 3] += wTr[:3, :3] @ delta[3:6]
+        wTr[:3, :3] = wTr[:3, :3] @ Rotation.from_rotvec(delta[:3]).as_matrix()
+        return RectangleState(wTr, self.size + delta[6:], 0.5 * (covariance + covariance.T))
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """One rectangle of one stereo frame, as it was measured and as it looks by itself."""
+
+    frame: int  # number of the frame
+    number: int  # of the rectangle in the frame
+    corners: StereoCorners
+    state: RectangleState  # from this sight alone, at the pose the frame is believed to have
+    probability: float  # of being a rectangle
+
+
+@dataclass(frozen=True, eq=False)
+class FramePose:
+    """Where a stereo frame was taken, as far as it is known before its rectangles are used."""
+
+    keyframe: int
+    wTb: FloatArray  # (3,), planar pose of the robot
+    covariance: FloatArray  # (3, 3), relative to its keyframe, tangent at wTb
+    camera: StereoCamera
+    bTc: FloatArray  # (4, 4)
+
+    @property
+    def wTc(self) -> FloatArray:
+        """Pose (4, 4) of the left camera."""
+        return planar_matrix(self.wTb) @ self.bTc
+
+
+@dataclass(eq=False)
+class Track:
+    """A rectangle that may be a landmark."""
+
+    state: RectangleState
+    sights: list[Sight] = field(default_factory=list)
+    turns: list[int] = field(default_factory=list)  # which corner of each sight is the first
+    keyframe: int = 0  # it was last seen from
+
+
+class DataAssociation:
+    """Tracks of all rectangles so far."""
+
+    def __init__(self, config: DataAssociationConfig) -> None:
+        """No tracks yet."""
+        self.config = config
+        self.tracks: list[Track] = []
+        self.counts: Counter[str] = Counter()
+        self._gate = float(chi2.ppf(config.gate_probability, _MEASURED))
+
+    def add_frame(
+        self, pose: FramePose, sights: Sequence[Sight], relative: FloatArray
+    ) -> dict[int, int]:
+        """Give the sights of a frame to tracks, or start new ones.
+
+        Args:
+            pose: of the frame.
+            sights: what it shows.
+            relative: (K, 3, 3), covariance of the robot's pose at this frame relative to each
+                keyframe, tangent at the frame's pose; inf = unknown.
+
+        Returns:
+            Index into `tracks` for each sight that got one.
+        """
+        self.counts["sights"] += len(sights)
+        candidates = self._candidates(pose, sights, relative)
+        chosen = self._jointly(candidates, len(sights))
+        result: dict[int, int] = {}
+        for j, sight in enumerate(sights):
+            if j in chosen:
+                match = chosen[j]
+                self._update(match, sight, pose)
+                self.counts["matched"] += 1
+                result[j] = match.track
+            elif any(c.sight == j for c in candidates):
+                self.counts["refused: ambiguous"] += 1
+            else:
+                self.tracks.append(Track(sight.state, [sight], [0], pose.keyframe))
+                self.counts["started"] += 1
+                result[j] = len(self.tracks) - 1
+        return result
+
+    def _candidates(
+        self, pose: FramePose, sights: Sequence[Sight], relative: FloatArray
+    ) -> list[_Candidate]:
+        found: list[_Candidate] = []
+        if not self.tracks or not sights:
+            return found
+        centres = np.array([track.state.wTr[:3, 3] for track in self.tracks])
+        spread = np.array([np.trace(track.state.covariance[3:6, 3:6]) for track in self.tracks])
+        anchors = np.array([track.keyframe for track in self.tracks])
+        moves = relative[anchors]
+        for j, sight in enumerate(sights):
+            away = centres - sight.state.wTr[:3, 3]
+            lever = np.linalg.norm(sight.state.wTr[:2, 3] - pose.wTb[:2])
+            variance = spread + np.trace(sight.state.covariance[3:6, 3:6])
+            variance += moves[:, 0, 0] + moves[:, 1, 1] + lever**2 * moves[:, 2, 2]
+            near = (away**2).sum(axis=1) <= self._gate * variance
+            for l in np.flatnonzero(near):  # noqa: E741
+                candidate = self._compare(int(l), j, sight, pose, moves[l])
+                if candidate is not None:
+                    found.append(candidate)
+        return found
+
+    def _compare(
+        self, number: int, j: int, sight: Sight, pose: FramePose, move: FloatArray
+    ) -> _Candidate | None:
+        """The best of the four orders of corners, or None outside the gate."""
+        track = self.tracks[number].state
+        if track.wTr[:3, 2] @ sight.state.wTr[:3, 2] <= 0.0:
+            return None  # seen from the other side
+        predicted, by_corners, by_pose = project(track.corners, pose)
+        if not np.isfinite(predicted).all():
+            return None
+        slopes = by_corners @ track.corner_slopes
+        spread = slopes @ track.covariance @ slopes.T
+        best = None
+        for turns in range(4):
+            seen = sight.corners.turned(turns)
+            noise = spread.copy()
+            for i in range(4):
+                block = slice(3 * i, 3 * i + 3)
+                noise[block, block] += seen.covariances[i]
+            residual = seen.measured.ravel() - predicted.ravel()
+            candidate = _Candidate(j, number, turns, residual, noise, by_pose, move, slopes)
+            if best is None or candidate.distance < best.distance:
+                best = candidate
+        return best if best is not None and best.distance <= self._gate else None
+
+    def _jointly(self, candidates: list[_Candidate], sights: int) -> dict[int, _Candidate]:
+        """Pairs that are unambiguous and agree on one correction of the pose."""
+        chosen: dict[int, _Candidate] = {}
+        taken: set[int] = set()
+        margin = self.config.ambiguity_margin
+        for candidate in sorted(candidates, key=lambda c: c.distance):
+            if candidate.sight in chosen or candidate.track in taken:
+                continue
+            trial = [*chosen.values(), candidate]
+            if joint_distance(trial) > chi2.ppf(
+                self.config.gate_probability, _MEASURED * len(trial)
+            ):
+                continue
+            alone = joint_distance(list(chosen.values())) if chosen else 0.0
+            rise = joint_distance(trial) - alone
+            rivals = [
+                other
+                for other in candidates
+                if other is not candidate
+                and (other.sight == candidate.sight or other.track == candidate.track)
+                and other.sight not in chosen
+                and other.track not in taken
+            ]
+            if any(
+                joint_distance([*chosen.values(), other]) - alone < rise + margin
+                for other in rivals
+            ):
+                continue
+            chosen[candidate.sight] = candidate
+            taken.add(candidate.track)
+        return chosen
+
+    def _update(self, match: _Candidate, sight: Sight, pose: FramePose) -> None:
+        """Sharpen a track by what was seen (Kalman, in pixels)."""
+        track = self.tracks[match.track]
+        gain = np.linalg.solve(match.innovation, match.slopes @ track.state.covariance).T
+        delta = gain @ match.residual
+        covariance = track.state.covariance - gain @ match.slopes @ track.state.covariance
+        track.state = track.state.moved(delta, covariance)
+        track.sights.append(sight)
+        track.turns.append(match.turns)
+        track.keyframe = pose.keyframe
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A sight and a track that may be the same."""
+
+    sight: int
+    track: int
+    turns: int
+    residual: FloatArray  # (12,), px
+    noise: FloatArray  # (12, 12), px^2, of track and pixels
+    by_pose: FloatArray  # (12, 3), of the pixels by the robot's pose
+    move: FloatArray  # (3, 3), covariance of that pose relative to where the track was seen
+    slopes: FloatArray  # (12, 8), of the pixels by the track's state
+    innovation: FloatArray = field(init=False)  # (12, 12), px^2
+    distance: float = field(init=False)  # squared Mahalanobis
+
+    def __post_init__(self) -> None:
+        innovation = self.noise + self.by_pose @ self.move @ self.by_pose.T
+        distance = float(self.residual @ np.linalg.solve(innovation, self.residual))
+        object.__setattr__(self, "innovation", innovation)
+        object.__setattr__(self, "distance", distance)
+
+
+def joint_distance(candidates: Sequence[_Candidate]) -> float:
+    """Squared Mahalanobis distance of several pairs that share one error of the pose.
+
+    The pose is known relative to each track as `move` says; the largest of them is shared, which
+    is right for tracks seen from about the same place, and too generous for others.
+    """
+    if not candidates:
+        return 0.0
+    move = max((c.move for c in candidates), key=lambda m: float(np.trace(m)))
+    information = np.linalg.inv(move + 1e-12 * np.eye(3))
+    vector, total = np.zeros(3), 0.0
+    for c in candidates:
+        weighted = np.linalg.solve(c.noise, np.column_stack([c.residual, c.by_pose]))
+        total += float(c.residual @ weighted[:, 0])
+        vector += c.by_pose.T @ weighted[:, 0]
+        information = information + c.by_pose.T @ weighted[:, 1:]
+    return total - float(vector @ np.linalg.solve(information, vector))
+
+
+def project(w_points: FloatArray, pose: FramePose) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (4, 3) of the world in the images of a frame.
+
+    Returns:
+        x left, x right and y (4, 3), px, NaN behind the camera; derivatives (12, 12) by the points
+        and (12, 3) by the planar pose of the robot (tangent of gtsam.Pose2).
+    """
+    wTc = pose.wTc
+    rotation = wTc[:3, :3]
+    c_points = (w_points - wTc[:3, 3]) @ rotation
+    camera, depth = pose.camera, c_points[:, 2]
+    depth = np.where(depth > 0.0, depth, np.nan)
+    x, y = c_points[:, 0] / depth, c_points[:, 1] / depth
+    right = (c_points[:, 0] - camera.baseline) / depth
+    pixels = np.column_stack(
+        [camera.fx * x + camera.cx, camera.fx * right + camera.cx, camera.fy * y + camera.cy]
+    )
+    local = np.zeros((len(w_points), 3, 3))  # by the point in c
+    local[:, 0, 0] = local[:, 1, 0] = camera.fx / depth
+    local[:, 2, 1] = camera.fy / depth
+    local[:, 0, 2], local[:, 1, 2] = -camera.fx * x / depth, -camera.fx * right / depth
+    local[:, 2, 2] = -camera.fy * y / depth
+    by_world = local @ rotation.T
+    by_points = np.zeros((3 * len(w_points), 3 * len(w_points)))
+    for i, block in enumerate(by_world):
+        by_points[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block
+    c, s = np.cos(pose.wTb[2]), np.sin(pose.wTb[2])
+    # The robot moves by (dx, dy) in its frame and turns: points move the other way
+    forward, leftward = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
+    arm = w_points - np.append(pose.wTb[:2], 0.0)
+    turning = np.column_stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))])
+    by_pose = -np.stack([by_world @ forward, by_world @ leftward], axis=-1)
+    by_turn = -np.einsum("nij,nj->ni", by_world, turning)
+    return pixels, by_points, np.concatenate([by_pose, by_turn[..., None]], axis=-1).reshape(-1, 3)
+
+
+def planar_matrix(wTb: FloatArray) -> FloatArray:
+    """A planar pose (3,) as a matrix (4, 4)."""
+    c, s = np.cos(wTb[2]), np.sin(wTb[2])
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[c, -s], [s, c]]
+    matrix[:2, 3] = wTb[:2]
+    return matrix
