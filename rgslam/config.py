@@ -66,6 +66,16 @@ class FactorGraphConfig(StageConfig):
     floor_height: float = Field(0.0005, gt=0.0)  # m
 
 
+class DataAssociationConfig(StageConfig):
+    """Which sight is which landmark (see `rgslam.data_association`)."""
+
+    gate_probability: float = Field(0.999, gt=0.0, lt=1.0)  # share of right pairs that pass
+    # By so much another pair must fit worse (chi-square, 1 in 100 by chance) to be ruled out.
+    ambiguity_margin: float = Field(9.2, ge=0.0)
+    min_sights: int = Field(3, ge=1)  # frames that must have seen a landmark
+    max_overlap: float = Field(0.5, gt=0.0, le=1.0)  # of two landmarks, intersection over union
+
+
 class OccupancyGridConfig(StageConfig):
     """Free and occupied space (see `rgslam.occupancy_grid`)."""
 
@@ -181,6 +191,7 @@ class Config(StageConfig):
     scan_matching: ScanMatchingConfig = ScanMatchingConfig()
     loop_closing: LoopClosingConfig = LoopClosingConfig()
     factor_graph: FactorGraphConfig = FactorGraphConfig()
+    data_association: DataAssociationConfig = DataAssociationConfig()
     occupancy_grid: OccupancyGridConfig = OccupancyGridConfig()
     gateways: GatewayConfig = GatewayConfig()
     regions: RegionConfig = RegionConfig()

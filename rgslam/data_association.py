@@ -153,7 +153,7 @@ class DataAssociation:
             lever = np.linalg.norm(sight.state.wTr[:2, 3] - pose.wTb[:2])
             variance = spread + np.trace(sight.state.covariance[3:6, 3:6])
             variance += moves[:, 0, 0] + moves[:, 1, 1] + lever**2 * moves[:, 2, 2]
-            near = (away**2).sum(axis=1) <= self._gate * variance
+            near = np.isfinite(variance) & ((away**2).sum(axis=1) <= self._gate * variance)
             for l in np.flatnonzero(near):  # noqa: E741
                 candidate = self._compare(int(l), j, sight, pose, moves[l])
                 if candidate is not None:
@@ -207,6 +207,7 @@ class DataAssociation:
                 and (other.sight == candidate.sight or other.track == candidate.track)
                 and other.sight not in chosen
                 and other.track not in taken
+                and not self._twins(other.track, candidate.track)
             ]
             if any(
                 joint_distance([*chosen.values(), other]) - alone < rise + margin
@@ -216,6 +217,10 @@ class DataAssociation:
             chosen[candidate.sight] = candidate
             taken.add(candidate.track)
         return chosen
+
+    def _twins(self, one: int, other: int) -> bool:
+        """Whether two different tracks may be the same thing: then either will do."""
+        return one != other and overlap(self.tracks[one].state, self.tracks[other].state) > 0.5
 
     def _update(self, match: _Candidate, sight: Sight, pose: FramePose) -> None:
         """Sharpen a track by what was seen (Kalman, in pixels)."""
@@ -304,6 +309,24 @@ def project(w_points: FloatArray, pose: FramePose) -> tuple[FloatArray, FloatArr
     by_pose = -np.stack([by_world @ forward, by_world @ leftward], axis=-1)
     by_turn = -np.einsum("nij,nj->ni", by_world, turning)
     return pixels, by_points, np.concatenate([by_pose, by_turn[..., None]], axis=-1).reshape(-1, 3)
+
+
+def overlap(one: RectangleState, other: RectangleState) -> float:
+    """Area of two rectangles' intersection over that of their union; 0 for those that lie apart.
+
+    Seen along the normal of the first; apart are also those that face elsewhere, or whose planes
+    are farther from each other than half of the smaller side.
+    """
+    import cv2
+
+    if one.wTr[:3, 2] @ other.wTr[:3, 2] < np.cos(np.pi / 4):
+        return 0.0
+    local = (other.corners - one.wTr[:3, 3]) @ one.wTr[:3, :3]
+    if abs(local[:, 2].mean()) > 0.5 * min(*one.size, *other.size):
+        return 0.0
+    own = (0.5 * SIDE * one.size).astype(np.float32)
+    common = cv2.intersectConvexConvex(own, local[:, :2].astype(np.float32))[0]
+    return float(common / (np.prod(one.size) + np.prod(other.size) - common))
 
 
 def planar_matrix(wTb: FloatArray) -> FloatArray:

@@ -84,3 +84,14 @@ def adjoint(aTb: FloatArray) -> FloatArray:
     """
     c, s = np.cos(aTb[2]), np.sin(aTb[2])
     return np.array([[c, -s, aTb[1]], [s, c, -aTb[0]], [0.0, 0.0, 1.0]])
+
+
+def adjoints(aTb: FloatArray) -> FloatArray:
+    """Adjoint maps (n, 3, 3) of poses (n, 3)."""
+    c, s = np.cos(aTb[:, 2]), np.sin(aTb[:, 2])
+    maps = np.zeros((len(aTb), 3, 3))
+    maps[:, 0, 0] = maps[:, 1, 1] = c
+    maps[:, 0, 1], maps[:, 1, 0] = -s, s
+    maps[:, 0, 2], maps[:, 1, 2] = aTb[:, 1], -aTb[:, 0]
+    maps[:, 2, 2] = 1.0
+    return maps

@@ -1,0 +1,312 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage: frames with rectangles and the keyframes' graph -> landmarks, and better poses.
+
+Sights are given to tracks (`rgslam.data_association`), tracks seen often enough become landmarks of
+one graph with the poses (`rgslam.factor_graph`). What does not fit is taken out and the rest solved
+again: single sights by their residual, landmarks that are left with too few, twins.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from scipy.stats import chi2
+
+from rgslam.config import Config
+from rgslam.data_association import (
+    DataAssociation,
+    FramePose,
+    RectangleState,
+    Sight,
+    Track,
+    overlap,
+    planar_matrix,
+    project,
+)
+from rgslam.factor_graph.joint_graph import (
+    JointGraph,
+    JointMarginals,
+    corner_keys,
+    frame_key,
+    keyframe_key,
+    planar,
+    spatial,
+)
+from rgslam.factor_graph.stereo_corners import stereo_corners
+from rgslam.geometry import adjoint, adjoints, between, compose, inverse
+from rgslam.loop_closing.uncertainty import EdgeTable
+from rgslam.observations import PlacedFrame
+from rgslam.rectangles.maximum_likelihood import corner_jacobians
+from rgslam.types import EdgeKind, FloatArray, PoseEdge
+
+#: Solve, take out what does not fit, solve again: so often at most.
+_ROUNDS = 4
+#: Association by the poses without rectangles, and once more by those with them.
+_PASSES = 2
+_MEASURED = 12  # x left, x right, y of four corners
+
+
+@dataclass(frozen=True, eq=False)
+class Landmark:
+    """A rectangle of the world, fused from all its sights."""
+
+    state: RectangleState
+    corner_covariances: FloatArray  # (4, 3, 3), m^2, w
+    sights: tuple[tuple[int, int], ...]  # (frame, number of the rectangle in it)
+    probability: float  # of being a rectangle
+
+
+@dataclass(frozen=True, eq=False)
+class Fusion:
+    """What the joint graph says."""
+
+    keyframes: FloatArray  # (K, 3), wTb
+    covariances: FloatArray  # (K, 3, 3), in each keyframe's own frame: x, y, theta
+    landmarks: tuple[Landmark, ...]
+    counts: Mapping[str, int]  # decisions, by what was decided
+
+
+def fuse_landmarks(
+    keyframes: FloatArray,
+    edges: Sequence[PoseEdge],
+    frames: Sequence[PlacedFrame],
+    config: Config | None = None,
+) -> Fusion:
+    """Landmarks and poses from everything measured.
+
+    Args:
+        keyframes: (K, 3), wTb, optimised without rectangles.
+        edges: what ties them.
+        frames: what the stereo camera showed, in the order of the run.
+        config: sections `data_association` and `factor_graph`.
+    """
+    config = Config() if config is None else config
+    section = config.data_association
+    # Which sight is which rectangle: by the poses so far, and again by what they made of them
+    tracks: list[Track] = []
+    start = keyframes
+    for _ in range(_PASSES):
+        poses = [_frame_pose(frame, start) for frame in frames]
+        shared = [*edges, *covisibility_edges(frames, poses, tracks, start)]
+        association = associate(frames, poses, start, shared, config)
+        counts = association.counts
+        tracks = [track for track in association.tracks if len(track.sights) >= section.min_sights]
+
+        # Solve, take out what does not fit, solve again
+        for _ in range(_ROUNDS):
+            graph = build_graph(start, edges, frames, poses, tracks, config)
+            values = graph.optimise()
+            kept = _consistent(values, poses, tracks, config, counts)
+            if _sight_count(kept) == _sight_count(tracks):
+                break
+            tracks = kept
+        keys = [keyframe_key(k) for k in range(len(keyframes))]
+        start = np.array([planar(values.atPose3(key)) for key in keys])
+
+    marginals = JointMarginals(graph, values)
+    landmarks = tuple(_landmark(marginals, number, track) for number, track in enumerate(tracks))
+    covariances = np.array([marginals.planar_pose(key) for key in keys])
+    counts.update(tracks=len(association.tracks), landmarks=len(landmarks))
+    return Fusion(start, covariances, landmarks, dict(counts))
+
+
+def _sight_count(tracks: Sequence[Track]) -> int:
+    return sum(len(track.sights) for track in tracks)
+
+
+def associate(
+    frames: Sequence[PlacedFrame],
+    poses: Sequence[FramePose],
+    keyframes: FloatArray,
+    edges: Sequence[PoseEdge],
+    config: Config,
+) -> DataAssociation:
+    """Tracks of all rectangles, frame by frame; `edges` tell how well keyframes know each other."""
+    table = EdgeTable()
+    table.add(edges)
+    association = DataAssociation(config.data_association)
+    for f, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
+        if not frame.observations.rectangles:
+            continue
+        # Known is the spread of the others seen from here: turned into that of here seen from them
+        others = table.relative_covariances(pose.keyframe, len(keyframes))
+        A = adjoints(between(pose.wTb, keyframes))
+        relative = A @ others @ A.transpose(0, 2, 1) + pose.covariance
+        association.add_frame(pose, _sights(f, frame, pose), relative)
+    return association
+
+
+def covisibility_edges(
+    frames: Sequence[PlacedFrame],
+    poses: Sequence[FramePose],
+    tracks: Sequence[Track],
+    keyframes: FloatArray,
+) -> list[PoseEdge]:
+    """What landmarks say of the relative poses of the keyframes that saw them one after the other.
+
+    Only for gating: in the joint graph the landmarks themselves say it.
+    """
+    edges = []
+    for track in tracks:
+        corners = track.state.corners
+        seen: tuple[int, FloatArray] | None = None
+        for sight, turns in zip(track.sights, track.turns, strict=True):
+            frame, pose = frames[sight.frame], poses[sight.frame]
+            by_pose = project(corners, pose)[2].reshape(4, 3, 3)
+            inverse_noise = np.linalg.inv(sight.corners.turned(turns).covariances)
+            information = np.einsum("nji,njk,nkl->il", by_pose, inverse_noise, by_pose)
+            A = adjoint(frame.kTb)
+            here = A @ (np.linalg.inv(information) + frame.covariance) @ A.T
+            if seen is not None and seen[0] != frame.keyframe:
+                i, j = seen[0], frame.keyframe
+                iTj = between(keyframes[i], keyframes[j])
+                B = adjoint(inverse(iTj))
+                edges.append(PoseEdge(i, j, iTj, here + B @ seen[1] @ B.T, EdgeKind.MATCH))
+            seen = frame.keyframe, here
+    return edges
+
+
+def _frame_pose(frame: PlacedFrame, keyframes: FloatArray) -> FramePose:
+    return FramePose(
+        frame.keyframe,
+        compose(keyframes[frame.keyframe], frame.kTb),
+        frame.covariance,
+        frame.observations.camera,
+        frame.observations.bTc,
+    )
+
+
+def _sights(number: int, frame: PlacedFrame, pose: FramePose) -> list[Sight]:
+    found = []
+    for i, rectangle in enumerate(frame.observations.rectangles):
+        cTr = np.eye(4)
+        cTr[:3, :3], cTr[:3, 3] = rectangle.rotation, rectangle.translation
+        state = RectangleState(pose.wTc @ cTr, rectangle.size, rectangle.covariance)
+        corners = stereo_corners(
+            rectangle.left_px,
+            rectangle.left_covariance,
+            rectangle.right_px,
+            rectangle.right_covariance,
+        )
+        found.append(Sight(number, i, corners, state, rectangle.probability))
+    return found
+
+
+def build_graph(
+    keyframes: FloatArray,
+    edges: Sequence[PoseEdge],
+    frames: Sequence[PlacedFrame],
+    poses: Sequence[FramePose],
+    tracks: Sequence[Track],
+    config: Config,
+) -> JointGraph:
+    """The joint graph of some tracks."""
+    graph = JointGraph(config.factor_graph)
+    for k, wTb in enumerate(keyframes):
+        graph.add_pose(keyframe_key(k), spatial(wTb))
+    graph.fix(keyframe_key(0))
+    graph.add_edges(edges)
+    for f in sorted({sight.frame for track in tracks for sight in track.sights}):
+        frame, pose = frames[f], poses[f]
+        graph.add_pose(frame_key(f), spatial(pose.wTb))
+        graph.add_planar(keyframe_key(frame.keyframe), frame_key(f), frame.kTb, frame.covariance)
+    for number, track in enumerate(tracks):
+        graph.add_rectangle(number, track.state.corners)
+        for sight, turns in zip(track.sights, track.turns, strict=True):
+            pose = poses[sight.frame]
+            corners = sight.corners.turned(turns)
+            graph.add_sight(frame_key(sight.frame), number, corners, pose.camera, pose.bTc)
+    return graph
+
+
+def _consistent(
+    values: gtsam.Values,
+    poses: Sequence[FramePose],
+    tracks: Sequence[Track],
+    config: Config,
+    counts: Counter[str],
+) -> list[Track]:
+    """Tracks without the sights that do not fit, the landmarks with too few left, and twins."""
+    gate = float(chi2.ppf(config.data_association.gate_probability, _MEASURED))
+    kept: list[Track] = []
+    for number, track in enumerate(tracks):
+        corners = np.array([values.atPoint3(key) for key in corner_keys(number)])
+        fits = [
+            _misfit(sight, turns, corners, values, poses[sight.frame]) <= gate
+            for sight, turns in zip(track.sights, track.turns, strict=True)
+        ]
+        counts["sights taken out"] += len(fits) - sum(fits)
+        if sum(fits) < config.data_association.min_sights:
+            counts["landmarks retired: too few sights"] += 1
+            continue
+        state = state_of(corners, track.state.covariance)
+        kept.append(
+            Track(
+                state,
+                [s for s, good in zip(track.sights, fits, strict=True) if good],
+                [t for t, good in zip(track.turns, fits, strict=True) if good],
+                track.keyframe,
+            )
+        )
+    return _without_twins(kept, config.data_association.max_overlap, counts)
+
+
+def _misfit(
+    sight: Sight, turns: int, corners: FloatArray, values: gtsam.Values, pose: FramePose
+) -> float:
+    """Chi-square of a sight at the estimate."""
+    moved = replace(pose, wTb=planar(values.atPose3(frame_key(sight.frame))))
+    seen = sight.corners.turned(turns)
+    residual = seen.measured - project(corners, moved)[0]
+    weighted = np.linalg.solve(seen.covariances, residual[..., None])[..., 0]
+    return float(np.sum(residual * weighted))
+
+
+def _without_twins(tracks: list[Track], max_overlap: float, counts: Counter[str]) -> list[Track]:
+    """Two landmarks cannot share most of their area: sights of the same thing are put together."""
+    order = sorted(range(len(tracks)), key=lambda i: -len(tracks[i].sights))
+    kept: list[int] = []
+    for i in order:
+        twin = next(
+            (k for k in kept if overlap(tracks[k].state, tracks[i].state) > max_overlap), None
+        )
+        if twin is None:
+            kept.append(i)
+        else:
+            counts["landmarks retired: twin"] += 1
+    return [tracks[i] for i in sorted(kept)]
+
+
+def _landmark(marginals: JointMarginals, number: int, track: Track) -> Landmark:
+    found = marginals.rectangle(number)
+    state = state_of(found.corners, np.zeros((8, 8)))
+    slopes = corner_jacobians(state.wTr[None, :3, :3], state.size[None])[0].reshape(12, 8)
+    inverse_slopes = np.linalg.pinv(slopes)
+    covariance = inverse_slopes @ found.covariance @ inverse_slopes.T
+    blocks = np.array([found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(4)])
+    log_odds = sum(np.log(s.probability) - np.log1p(-s.probability) for s in track.sights)
+    return Landmark(
+        replace(state, covariance=covariance),
+        blocks,
+        tuple((sight.frame, sight.number) for sight in track.sights),
+        float(1.0 / (1.0 + np.exp(-log_odds))),
+    )
+
+
+def state_of(corners: FloatArray, covariance: FloatArray) -> RectangleState:
+    """The rectangle with these corners (4, 3), counter-clockwise from the lower left."""
+    width = corners[1] - corners[0] + corners[2] - corners[3]
+    height = corners[3] - corners[0] + corners[2] - corners[1]
+    x = width / np.linalg.norm(width)
+    z = np.cross(x, height)
+    z /= np.linalg.norm(z)
+    wTr = np.eye(4)
+    wTr[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    wTr[:3, 3] = corners.mean(axis=0)
+    size = 0.5 * np.array([np.linalg.norm(width), np.linalg.norm(height)])
+    return RectangleState(wTr, size, covariance)
