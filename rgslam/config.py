@@ -76,6 +76,39 @@ class DataAssociationConfig(StageConfig):
     max_overlap: float = Field(0.5, gt=0.0, le=1.0)  # of two landmarks, intersection over union
 
 
+class RectangleClass(StageConfig):
+    """A kind of rectangle by its size and the height of its middle, each a Gaussian (m)."""
+
+    name: str
+    width: float = Field(gt=0.0)
+    width_sigma: float = Field(gt=0.0)
+    height: float = Field(gt=0.0)
+    height_sigma: float = Field(gt=0.0)
+    middle: float
+    middle_sigma: float = Field(gt=0.0)
+
+
+def _class(name: str, *values: float) -> RectangleClass:
+    keys = ("width", "width_sigma", "height", "height_sigma", "middle", "middle_sigma")
+    return RectangleClass(name=name, **dict(zip(keys, values, strict=True)))
+
+
+class LandmarkConfig(StageConfig):
+    """What landmarks are called (see `rgslam.landmarks`)."""
+
+    # Sizes as sold: doors by DIN 18101 and ANSI, writing boards and paper A3 to A0, screens of
+    # 15 to 32 inches on a desk, cabinets of two to five folders' height that stand on the floor.
+    classes: tuple[RectangleClass, ...] = (
+        _class("door", 0.93, 0.10, 2.06, 0.08, 1.04, 0.05),
+        _class("whiteboard/poster", 1.40, 0.50, 1.00, 0.20, 1.50, 0.20),
+        _class("whiteboard/poster", 0.65, 0.20, 0.85, 0.25, 1.50, 0.20),
+        _class("monitor", 0.45, 0.12, 0.32, 0.06, 1.00, 0.12),
+        _class("cabinet", 0.80, 0.25, 1.30, 0.45, 0.65, 0.25),
+    )
+    largest: tuple[float, float, float] = (6.0, 3.0, 3.0)  # m, of what has no class
+    in_front: float = Field(0.3, gt=0.0)  # m, where the region is looked up
+
+
 class OccupancyGridConfig(StageConfig):
     """Free and occupied space (see `rgslam.occupancy_grid`)."""
 
@@ -192,6 +225,7 @@ class Config(StageConfig):
     loop_closing: LoopClosingConfig = LoopClosingConfig()
     factor_graph: FactorGraphConfig = FactorGraphConfig()
     data_association: DataAssociationConfig = DataAssociationConfig()
+    landmarks: LandmarkConfig = LandmarkConfig()
     occupancy_grid: OccupancyGridConfig = OccupancyGridConfig()
     gateways: GatewayConfig = GatewayConfig()
     regions: RegionConfig = RegionConfig()

@@ -175,10 +175,7 @@ class DataAssociation:
         best = None
         for turns in range(4):
             seen = sight.corners.turned(turns)
-            noise = spread.copy()
-            for i in range(4):
-                block = slice(3 * i, 3 * i + 3)
-                noise[block, block] += seen.covariances[i]
+            noise = spread + seen.joint_covariance
             residual = seen.measured.ravel() - predicted.ravel()
             candidate = _Candidate(j, number, turns, residual, noise, by_pose, move, slopes)
             if best is None or candidate.distance < best.distance:

@@ -25,12 +25,12 @@ from rgslam.data_association import (
     Sight,
     Track,
     overlap,
-    planar_matrix,
     project,
 )
 from rgslam.factor_graph.joint_graph import (
     JointGraph,
     JointMarginals,
+    RectangleMarginal,
     corner_keys,
     frame_key,
     keyframe_key,
@@ -41,7 +41,6 @@ from rgslam.factor_graph.stereo_corners import stereo_corners
 from rgslam.geometry import adjoint, adjoints, between, compose, inverse
 from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
-from rgslam.rectangles.maximum_likelihood import corner_jacobians
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
 #: Solve, take out what does not fit, solve again: so often at most.
@@ -58,6 +57,7 @@ class Landmark:
     state: RectangleState
     corner_covariances: FloatArray  # (4, 3, 3), m^2, w
     sights: tuple[tuple[int, int], ...]  # (frame, number of the rectangle in it)
+    history: FloatArray  # (n, 5), after each sight: stamp, width, height and their sigmas
     probability: float  # of being a rectangle
 
 
@@ -109,8 +109,12 @@ def fuse_landmarks(
         start = np.array([planar(values.atPose3(key)) for key in keys])
 
     marginals = JointMarginals(graph, values)
-    landmarks = tuple(_landmark(marginals, number, track) for number, track in enumerate(tracks))
     covariances = np.array([marginals.planar_pose(key) for key in keys])
+    poses = [_at_estimate(pose, f, values, covariances) for f, pose in enumerate(poses)]
+    landmarks = tuple(
+        _landmark(marginals.rectangle(number), track, frames, poses)
+        for number, track in enumerate(tracks)
+    )
     counts.update(tracks=len(association.tracks), landmarks=len(landmarks))
     return Fusion(start, covariances, landmarks, dict(counts))
 
@@ -282,20 +286,81 @@ def _without_twins(tracks: list[Track], max_overlap: float, counts: Counter[str]
     return [tracks[i] for i in sorted(kept)]
 
 
-def _landmark(marginals: JointMarginals, number: int, track: Track) -> Landmark:
-    found = marginals.rectangle(number)
+def _landmark(
+    found: RectangleMarginal,
+    track: Track,
+    frames: Sequence[PlacedFrame],
+    poses: Sequence[FramePose],
+) -> Landmark:
     state = state_of(found.corners, np.zeros((8, 8)))
-    slopes = corner_jacobians(state.wTr[None, :3, :3], state.size[None])[0].reshape(12, 8)
-    inverse_slopes = np.linalg.pinv(slopes)
+    inverse_slopes = np.linalg.pinv(state.corner_slopes)
     covariance = inverse_slopes @ found.covariance @ inverse_slopes.T
     blocks = np.array([found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(4)])
-    log_odds = sum(np.log(s.probability) - np.log1p(-s.probability) for s in track.sights)
+    history = size_history(state, track, frames, poses)
+    final = np.sqrt(np.diagonal(covariance)[6:])
+    history[:, 3:] = np.maximum(history[:, 3:], final)  # nobody knew more before the last sight
+    history[-1, 1:] = *state.size, *final
     return Landmark(
         replace(state, covariance=covariance),
         blocks,
         tuple((sight.frame, sight.number) for sight in track.sights),
-        float(1.0 / (1.0 + np.exp(-log_odds))),
+        history,
+        joint_probability([sight.probability for sight in track.sights]),
     )
+
+
+def size_history(
+    state: RectangleState,
+    track: Track,
+    frames: Sequence[PlacedFrame],
+    poses: Sequence[FramePose],
+) -> FloatArray:
+    """Width and height with their sigmas, as known after each sight (n, 5).
+
+    Linear about the final estimate. The poses of the frames count as independent, each as uncertain
+    as in the world.
+
+    Returns:
+        Rows of stamp (s), width, height, sigma of width, sigma of height (m).
+    """
+    information, vector, rows = np.zeros((8, 8)), np.zeros(8), []
+    for sight, turns in zip(track.sights, track.turns, strict=True):
+        pose, seen = poses[sight.frame], sight.corners.turned(turns)
+        predicted, by_corners, by_pose = project(state.corners, pose)
+        slopes = by_corners @ state.corner_slopes
+        noise = by_pose @ pose.covariance @ by_pose.T + seen.joint_covariance
+        weighted = np.linalg.solve(noise, slopes)
+        information += slopes.T @ weighted
+        vector += weighted.T @ (seen.measured - predicted).ravel()
+        covariance = np.linalg.inv(information)
+        size = state.size + (covariance @ vector)[6:]
+        stamp = frames[sight.frame].observations.stamp
+        rows.append([stamp, *size, *np.sqrt(np.diagonal(covariance)[6:])])
+    return np.array(rows)
+
+
+def joint_probability(probabilities: Sequence[float]) -> float:
+    """Of being a rectangle after sights that each gave a probability.
+
+    The odds of independent evidence multiply. Sights of one thing err alike (a shadow looks like a
+    door from everywhere), so they count as the square root of their number.
+    """
+    p = np.clip(probabilities, 1e-6, 1.0 - 1e-6)
+    log_odds = float(np.sum(np.log(p) - np.log1p(-p))) / np.sqrt(len(p))
+    return float(1.0 / (1.0 + np.exp(-log_odds)))
+
+
+def _at_estimate(
+    pose: FramePose, number: int, values: gtsam.Values, keyframe_covariances: FloatArray
+) -> FramePose:
+    """A frame's pose as the graph has it, with its uncertainty in the world."""
+    key = frame_key(number)
+    if not values.exists(key):
+        return pose
+    wTb = planar(values.atPose3(key))
+    A = adjoint(inverse(between(planar(values.atPose3(keyframe_key(pose.keyframe))), wTb)))
+    spread = A @ keyframe_covariances[pose.keyframe] @ A.T + pose.covariance
+    return replace(pose, wTb=wTb, covariance=spread)
 
 
 def state_of(corners: FloatArray, covariance: FloatArray) -> RectangleState:

@@ -21,9 +21,12 @@ import numpy as np
 from rgslam.errors import MapError
 from rgslam.types import (
     Crossing,
+    Cuboid,
+    FloatArray,
     Gateway,
     GatewayClass,
     LineSegment,
+    Rectangle,
     Region,
     RegionClass,
 )
@@ -46,8 +49,8 @@ def schema() -> dict[str, Any]:
 def encode_rg_map(
     regions: Sequence[Region],
     gateways: Sequence[Gateway],
-    rectangles: Sequence[dict[str, Any]] = (),
-    cuboids: Sequence[dict[str, Any]] = (),
+    rectangles: Sequence[Rectangle] = (),
+    cuboids: Sequence[Cuboid] = (),
 ) -> bytes:
     """`rgmap.json` as bytes.
 
@@ -61,8 +64,8 @@ def encode_rg_map(
         "version": VERSION,
         "regions": [_region_to_json(region, rectangles) for region in regions],
         "gateways": [_gateway_to_json(gateway) for gateway in gateways],
-        "rectangles": list(rectangles),
-        "cuboids": list(cuboids),
+        "rectangles": [_rectangle_to_json(rectangle) for rectangle in rectangles],
+        "cuboids": [_cuboid_to_json(cuboid) for cuboid in cuboids],
     }
     try:
         return (_layout(document, "") + "\n").encode("utf-8")
@@ -90,6 +93,8 @@ def decode_rg_map(text: bytes, name: str) -> dict[str, Any]:
         raise MapError(f"{name}: {broken}")
     document["regions"] = tuple(_region_from_json(entry) for entry in document["regions"])
     document["gateways"] = tuple(_gateway_from_json(entry) for entry in document["gateways"])
+    document["rectangles"] = tuple(_rectangle_from_json(e) for e in document["rectangles"])
+    document["cuboids"] = tuple(_cuboid_from_json(entry) for entry in document["cuboids"])
     check_references(document["regions"], document["gateways"], name)
     return document
 
@@ -121,7 +126,7 @@ def check_references(regions: Sequence[Region], gateways: Sequence[Gateway], nam
 # --- Writing --------------------------------------------------------------------------------------
 
 
-def _region_to_json(region: Region, rectangles: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _region_to_json(region: Region, rectangles: Sequence[Rectangle]) -> dict[str, Any]:
     frame = [*_lengths(region.wTg[:2]), *_angles(region.wTg[2:])]
     return {
         "id": int(region.id),
@@ -136,7 +141,7 @@ def _region_to_json(region: Region, rectangles: Sequence[dict[str, Any]]) -> dic
             for line in region.line_segments
         ],
         "gateways": [int(gateway) for gateway in region.gateways],
-        "rectangles": [entry["id"] for entry in rectangles if entry.get("region") == region.id],
+        "rectangles": [int(r.id) for r in rectangles if r.region == region.id],
         "objects_2d": [_lengths(outline) for outline in region.objects_2d],
         "accuracy_m": None if region.accuracy_m is None else _lengths(region.accuracy_m),
         "completeness": None if region.completeness is None else _lengths(region.completeness),
@@ -158,6 +163,45 @@ def _gateway_to_json(gateway: Gateway) -> dict[str, Any]:
             for c in gateway.crossings
         ],
     }
+
+
+def _rectangle_to_json(rectangle: Rectangle) -> dict[str, Any]:
+    return {
+        "id": int(rectangle.id),
+        "region": None if rectangle.region is None else int(rectangle.region),
+        "label": rectangle.label,
+        "label_probability": _angles(rectangle.label_probability),
+        "probability": _angles(rectangle.probability),
+        "pose": _pose_to_json(rectangle.wTr),
+        "normal": _angles(rectangle.normal),
+        "size": _lengths(rectangle.size),
+        "sigma_size_cm": _lengths(rectangle.sigma_size_cm),
+        "corners": _lengths(rectangle.corners),
+        "covariance": _significant(rectangle.covariance),
+        "corner_covariances": [_significant(block) for block in rectangle.corner_covariances],
+        "observations": int(rectangle.observations),
+        "first_seen": float(rectangle.first_seen),
+        "last_seen": float(rectangle.last_seen),
+        "history": [[float(row[0]), *_lengths(row[1:])] for row in rectangle.history],
+    }
+
+
+def _cuboid_to_json(cuboid: Cuboid) -> dict[str, Any]:
+    return {
+        "id": int(cuboid.id),
+        "label": cuboid.label,
+        "pose": _pose_to_json(cuboid.wTo),
+        "size": _lengths(cuboid.size),
+        "covariance": _significant(cuboid.covariance),
+        "rectangles": [int(number) for number in cuboid.rectangles],
+    }
+
+
+def _pose_to_json(pose: FloatArray) -> dict[str, Any]:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True)
+    return {"position": _lengths(pose[:3, 3]), "quaternion_xyzw": _angles(turn)}
 
 
 def _lengths(values: Any) -> Any:
@@ -266,6 +310,45 @@ def _gateway_from_json(entry: dict[str, Any]) -> Gateway:
             for crossing in entry["crossings"]
         ),
     )
+
+
+def _rectangle_from_json(entry: dict[str, Any]) -> Rectangle:
+    return Rectangle(
+        id=entry["id"],
+        label=entry["label"] or "unknown",
+        label_probability=float(entry.get("label_probability", 1.0)),
+        region=entry["region"],
+        wTr=_pose_from_json(entry["pose"]),
+        size=_array(entry["size"], (2,)),
+        covariance=_array(entry["covariance"], (8, 8)),
+        corners=_array(entry["corners"], (4, 3)),
+        corner_covariances=_array(entry["corner_covariances"], (4, 3, 3)),
+        observations=entry["observations"],
+        first_seen=float(entry["first_seen"]),
+        last_seen=float(entry["last_seen"]),
+        probability=float(entry.get("probability", 1.0)),
+        history=_array(entry.get("history", []), (-1, 5)),
+    )
+
+
+def _cuboid_from_json(entry: dict[str, Any]) -> Cuboid:
+    return Cuboid(
+        id=entry["id"],
+        label=entry["label"],
+        wTo=_pose_from_json(entry["pose"]),
+        size=_array(entry["size"], (3,)),
+        covariance=_array(entry["covariance"], (9, 9)),
+        rectangles=tuple(entry["rectangles"]),
+    )
+
+
+def _pose_from_json(entry: dict[str, Any]) -> FloatArray:
+    from scipy.spatial.transform import Rotation
+
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(entry["quaternion_xyzw"]).as_matrix()
+    pose[:3, 3] = entry["position"]
+    return pose
 
 
 def _array(values: Any, shape: tuple[int, ...]) -> Any:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,16 @@ from rgslam.map_files import (
 from rgslam.map_folder import check_replaceable, write_folder
 from rgslam.map_json import decode_rg_map, encode_rg_map
 from rgslam.observations import PlacedFrame
-from rgslam.types import Gateway, Keyframes, OccupancyGrid, PoseEdge, Region, Trajectory
+from rgslam.types import (
+    Cuboid,
+    Gateway,
+    Keyframes,
+    OccupancyGrid,
+    PoseEdge,
+    Rectangle,
+    Region,
+    Trajectory,
+)
 
 if TYPE_CHECKING:
     import networkx
@@ -81,9 +90,9 @@ class RGMap:
     grid: OccupancyGrid
     config: Config
     run: RunInfo
-    rectangles: tuple[dict[str, Any], ...] = ()  # objects as in rgmap.json
-    cuboids: tuple[dict[str, Any], ...] = ()  # objects as in rgmap.json
     frames: tuple[PlacedFrame, ...] = ()  # what every stereo pair shows, and from where
+    rectangles: tuple[Rectangle, ...] = ()
+    cuboids: tuple[Cuboid, ...] = ()
 
     def region(self, region_id: int) -> Region:
         """The region of that id.
@@ -106,6 +115,17 @@ class RGMap:
             if gateway.id == gateway_id:
                 return gateway
         raise MapError(f"no gateway {gateway_id!r}; {_known('gateways', self.gateways)}")
+
+    def rectangle(self, rectangle_id: int) -> Rectangle:
+        """The rectangle of that id.
+
+        Raises:
+            MapError: there is none.
+        """
+        for rectangle in self.rectangles:
+            if rectangle.id == rectangle_id:
+                return rectangle
+        raise MapError(f"no rectangle {rectangle_id!r}; {_known('rectangles', self.rectangles)}")
 
     def graph(self) -> networkx.MultiGraph:
         """Regions joined by gateways.
@@ -196,8 +216,8 @@ def load_map(folder: Path | str) -> RGMap:
         grid=read_grid(folder / "map.yaml"),
         config=_read_config(folder / "config.yaml"),
         run=_decode_run(*_read(folder, "run.json")),
-        rectangles=tuple(document["rectangles"]),
-        cuboids=tuple(document["cuboids"]),
+        rectangles=document["rectangles"],
+        cuboids=document["cuboids"],
     )
 
 
@@ -251,7 +271,7 @@ def _decode_run(text: bytes, name: str) -> RunInfo:
         raise MapError(f"{name}: {place}: {first['msg']}") from error
 
 
-def _known(kind: str, items: tuple[Region, ...] | tuple[Gateway, ...]) -> str:
+def _known(kind: str, items: Sequence[Region] | Sequence[Gateway] | Sequence[Rectangle]) -> str:
     if not items:
         return f"the map has no {kind}"
     return f"the map's {kind} are {', '.join(str(item.id) for item in items)}"

@@ -231,6 +231,56 @@ class Region:
 
 
 @dataclass(frozen=True, eq=False)
+class Rectangle:
+    """A rectangular thing of the world: a landmark of the joint graph.
+
+    Its frame r: origin at its centre, x along its width, y along its height (up), z its normal
+    towards the side it was seen from.
+    """
+
+    id: int
+    label: str  # of the configured classes, or "unknown"
+    label_probability: float
+    region: int | None  # id of the region it is seen from; None = in none
+    wTr: FloatArray  # (4, 4)
+    size: FloatArray  # (2,), m, width and height
+    covariance: FloatArray  # (8, 8), tangent of gtsam.Pose3 (rotation, translation), width, height
+    corners: FloatArray  # (4, 3), m, w, counter-clockwise from the lower left
+    corner_covariances: FloatArray  # (4, 3, 3), m^2, w
+    observations: int  # sights that were used
+    first_seen: float  # s
+    last_seen: float  # s
+    probability: float = 1.0  # of being a rectangle
+    # (n, 5), after each sight: stamp, width, height and their sigmas, in the order of the run
+    history: FloatArray = field(default_factory=lambda: np.empty((0, 5)))
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit normal (3,) in w, towards the side it was seen from."""
+        return self.wTr[:3, 2]
+
+    @property
+    def sigma_size_cm(self) -> FloatArray:
+        """Standard deviation (2,) of width and height, cm."""
+        return 100.0 * np.sqrt(np.diagonal(self.covariance)[6:])
+
+
+@dataclass(frozen=True, eq=False)
+class Cuboid:
+    """A box of the world, from rectangles that share edges at right angles.
+
+    Its frame o: origin at its centre, z up.
+    """
+
+    id: int
+    label: str
+    wTo: FloatArray  # (4, 4)
+    size: FloatArray  # (3,), m, along x, y and z of its frame
+    covariance: FloatArray  # (9, 9), tangent of gtsam.Pose3 at wTo (rotation, translation), size
+    rectangles: tuple[int, ...]  # ids of its faces
+
+
+@dataclass(frozen=True, eq=False)
 class Segmentation:
     """Regions and gateways of an occupancy grid."""
 

@@ -30,7 +30,7 @@ from rgslam.map_files import (
 )
 from rgslam.map_json import encode_rg_map, schema
 from rgslam.rg_map import MAP_FILES, RGMap, RunInfo, load_map
-from rgslam.types import EdgeKind, Keyframes, PoseEdge, Trajectory
+from rgslam.types import Cuboid, EdgeKind, Keyframes, PoseEdge, Rectangle, Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -272,22 +272,35 @@ def validator() -> jsonschema.Draft202012Validator:
     return jsonschema.Draft202012Validator(schema())
 
 
+def a_rectangle(number: int = 0) -> Rectangle:
+    rng = np.random.default_rng(number)
+    spread = rng.normal(size=(8, 8))
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    wTr = np.eye(4)
+    wTr[:3, :3] = turn * np.sign(np.linalg.det(turn))
+    wTr[:3, 3] = [1.0, 2.0, 1.0]
+    return Rectangle(
+        id=number,
+        label="door",
+        label_probability=0.9,
+        region=2,
+        wTr=wTr,
+        size=np.array([0.9, 2.0]),
+        covariance=1e-6 * spread @ spread.T,
+        corners=rng.normal(size=(4, 3)),
+        corner_covariances=np.tile(1e-6 * np.eye(3), (4, 1, 1)),
+        observations=3,
+        first_seen=1.5,
+        last_seen=2.5,
+        history=np.array([[1.5, 0.91, 2.02, 0.01, 0.02], [2.5, 0.9, 2.0, 0.005, 0.01]]),
+    )
+
+
 def full_document(rg_map: RGMap) -> dict:
-    rectangle = {
-        "id": 0,
-        "region": 2,
-        "label": "door",
-        "pose": {"position": [1, 2, 1], "quaternion_xyzw": [0, 0, 0, 1]},
-        "normal": [0, 0, 1],
-        "size": [0.9, 2.0],
-        "corners": [[0, 0, 0]] * 4,
-        "covariance": np.eye(8).tolist(),
-        "corner_covariances": [np.eye(3).tolist()] * 4,
-        "observations": 3,
-        "first_seen": 1.5,
-        "last_seen": 2.5,
-    }
-    return json.loads(encode_rg_map(rg_map.regions, rg_map.gateways, [rectangle], [{"id": 0}]))
+    cuboid = Cuboid(0, "cabinet", np.eye(4), np.array([0.4, 0.8, 0.5]), np.eye(9), (0,))
+    return json.loads(
+        encode_rg_map(rg_map.regions, rg_map.gateways, [a_rectangle()], [cuboid]).decode()
+    )
 
 
 def test_an_empty_and_a_full_map_fit_the_schema(rg_map: RGMap) -> None:
@@ -296,6 +309,21 @@ def test_an_empty_and_a_full_map_fit_the_schema(rg_map: RGMap) -> None:
     validator().validate(document)
     assert document["regions"][1]["rectangles"] == [0]
     assert document["regions"][0]["rectangles"] == []
+
+
+def test_rectangles_come_back_as_they_were(rg_map: RGMap, tmp_path: Path) -> None:
+    written = dataclasses.replace(rg_map, rectangles=(a_rectangle(0), a_rectangle(1)))
+    written.save(tmp_path / "map")
+    read = load_map(tmp_path / "map")
+    for one, other in zip(written.rectangles, read.rectangles, strict=True):
+        assert other.label == one.label
+        for name, value in vars(one).items():
+            if name != "label":  # lengths are written to the micrometre
+                np.testing.assert_allclose(getattr(other, name), value, rtol=1e-8, atol=1e-6)
+        np.testing.assert_allclose(other.sigma_size_cm, one.sigma_size_cm, rtol=1e-8)
+    assert read.rectangle(1).id == 1
+    with pytest.raises(MapError, match="no rectangle 7"):
+        read.rectangle(7)
 
 
 def test_keys_are_those_of_the_interface(rg_map: RGMap) -> None:

@@ -21,6 +21,14 @@ class StereoCorners:
     measured: FloatArray  # (4, 3), px: x left, x right, y
     covariances: FloatArray  # (4, 3, 3), px^2
 
+    @property
+    def joint_covariance(self) -> FloatArray:
+        """(12, 12), px^2, of `measured.ravel()`."""
+        full = np.zeros((12, 12))
+        for i, block in enumerate(self.covariances):
+            full[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block
+        return full
+
     def turned(self, quarter_turns: int) -> StereoCorners:
         """Corner i becomes what was corner i + quarter_turns."""
         order = (np.arange(4) + quarter_turns) % 4

@@ -10,11 +10,12 @@ the Atlas framework*, IJRR 2004): conservative, and a few milliseconds for thous
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from rgslam.types import FloatArray, IntArray, PoseEdge
@@ -31,6 +32,7 @@ class EdgeTable:
         self._ends: list[tuple[int, int]] = []
         self._poses: list[FloatArray] = []
         self._covariances: list[FloatArray] = []
+        self._prepared: _Network | None = None
 
     def add(self, edges: Sequence[PoseEdge]) -> None:
         """Append edges."""
@@ -38,6 +40,7 @@ class EdgeTable:
             self._ends.append((edge.i, edge.j))
             self._poses.append(edge.iTj)
             self._covariances.append(edge.covariance)
+        self._prepared = None
 
     def relative_covariances(self, source: int, count: int) -> FloatArray:
         """Bounds on the covariance of every keyframe relative to one.
@@ -50,36 +53,61 @@ class EdgeTable:
             (count, 3, 3) in the tangent space at each keyframe, order x, y, theta; inf where no
             path leads.
         """
-        ends = np.array(self._ends, np.int64).reshape(-1, 2)
-        covariances = np.array(self._covariances).reshape(-1, 3, 3)
-        poses = np.array(self._poses).reshape(-1, 3)
-        length = covariances[:, 0, 0] + covariances[:, 1, 1] + _LEVER**2 * covariances[:, 2, 2]
-        # Of parallel edges the best one leads; both directions are stored with their edge number
-        order = np.argsort(length, kind="stable")
-        _, first = np.unique(ends[order], axis=0, return_index=True)
-        keep = order[first]
-        graph = coo_array(
-            (length[keep], (ends[keep, 0], ends[keep, 1])), shape=(count, count)
-        ).tocsr()
-        number = coo_array(
-            (keep + 1.0, (ends[keep, 0], ends[keep, 1])), shape=(count, count)
-        ).tocsr()
+        network = self._network(count)
         distance, parents = dijkstra(
-            graph, directed=False, indices=source, return_predecessors=True
+            network.graph, directed=False, indices=source, return_predecessors=True
         )
         sequence = np.argsort(distance, kind="stable")
         sequence = sequence[np.isfinite(distance[sequence])]
         children = sequence[1:]
         mothers = parents[children]
-        forward = np.asarray(number[mothers, children]).ravel()
-        backward = np.asarray(number[children, mothers]).ravel()
+        forward = np.asarray(network.number[mothers, children]).ravel()
+        backward = np.asarray(network.number[children, mothers]).ravel()
         use_forward = forward > 0
         use_forward &= (backward == 0) | (
-            length[np.maximum(forward, 1).astype(np.int64) - 1]
-            <= length[np.maximum(backward, 1).astype(np.int64) - 1]
+            network.length[np.maximum(forward, 1).astype(np.int64) - 1]
+            <= network.length[np.maximum(backward, 1).astype(np.int64) - 1]
         )
         edge = np.where(use_forward, forward, backward).astype(np.int64) - 1
-        return _propagate(count, source, children, mothers, edge, use_forward, poses, covariances)
+        return _propagate(
+            count, source, children, mothers, edge, use_forward, network.poses, network.covariances
+        )
+
+    def _network(self, count: int) -> _Network:
+        """The edges as a sparse graph, made anew when one was added."""
+        if self._prepared is None or self._prepared.graph.shape[0] != count:
+            self._prepared = _Network.of(self._ends, self._poses, self._covariances, count)
+        return self._prepared
+
+
+@dataclass(frozen=True, eq=False)
+class _Network:
+    """Edges by number; of parallel ones the best leads."""
+
+    graph: csr_array  # (count, count), length of an edge
+    number: csr_array  # (count, count), number of an edge + 1
+    length: FloatArray  # (n,), m^2
+    poses: FloatArray  # (n, 3)
+    covariances: FloatArray  # (n, 3, 3)
+
+    @classmethod
+    def of(
+        cls,
+        ends: Sequence[tuple[int, int]],
+        poses: Sequence[FloatArray],
+        covariances: Sequence[FloatArray],
+        count: int,
+    ) -> _Network:
+        pairs = np.array(ends, np.int64).reshape(-1, 2)
+        spread = np.array(covariances).reshape(-1, 3, 3)
+        length = spread[:, 0, 0] + spread[:, 1, 1] + _LEVER**2 * spread[:, 2, 2]
+        order = np.argsort(length, kind="stable")
+        _, first = np.unique(pairs[order], axis=0, return_index=True)
+        keep = order[first]
+        where = (pairs[keep, 0], pairs[keep, 1])
+        graph = coo_array((length[keep], where), shape=(count, count)).tocsr()
+        number = coo_array((keep + 1.0, where), shape=(count, count)).tocsr()
+        return cls(graph, number, length, np.array(poses).reshape(-1, 3), spread)
 
 
 @njit(cache=True)

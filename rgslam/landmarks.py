@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage: fused landmarks -> rectangles and cuboids of the map, with labels and regions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rgslam.config import LandmarkConfig, RectangleClass
+from rgslam.fusion import Landmark
+from rgslam.types import FloatArray, Rectangle, Region
+
+UNKNOWN = "unknown"
+
+
+def describe_landmarks(
+    landmarks: Sequence[Landmark], regions: Sequence[Region], config: LandmarkConfig
+) -> tuple[Rectangle, ...]:
+    """Rectangles of the map, in the order in which they were first seen.
+
+    Args:
+        landmarks: of the joint graph.
+        regions: of the map; a rectangle belongs to the one it faces.
+        config: the classes.
+    """
+    ordered = sorted(landmarks, key=lambda landmark: landmark.sights[0])
+    return tuple(
+        _describe(number, landmark, regions, config) for number, landmark in enumerate(ordered)
+    )
+
+
+def _describe(
+    number: int, landmark: Landmark, regions: Sequence[Region], config: LandmarkConfig
+) -> Rectangle:
+    state = landmark.state
+    label, probability = classify(state.size, state.corners, state.covariance, config)
+    return Rectangle(
+        id=number,
+        label=label,
+        label_probability=probability,
+        region=_region_faced(state.wTr, regions, config.in_front),
+        wTr=state.wTr,
+        size=state.size,
+        covariance=state.covariance,
+        corners=state.corners,
+        corner_covariances=landmark.corner_covariances,
+        observations=len(landmark.sights),
+        first_seen=float(landmark.history[0, 0]),
+        last_seen=float(landmark.history[-1, 0]),
+        probability=landmark.probability,
+        history=landmark.history,
+    )
+
+
+def classify(
+    size: FloatArray, corners: FloatArray, covariance: FloatArray, config: LandmarkConfig
+) -> tuple[str, float]:
+    """What a rectangle most likely is, by its size and how high it hangs, and how likely.
+
+    Args:
+        size: (2,), m, width and height.
+        corners: (4, 3), m, with the floor at z = 0.
+        covariance: (8, 8), of pose and size.
+        config: the classes; what fits none of them is unknown.
+    """
+    middle = float(corners[:, 2].mean())
+    measured = np.array([*size, middle])
+    variance = np.append(np.diagonal(covariance)[6:], max(float(covariance[4, 4]), 0.0))
+    densities = [_density(measured, variance, one) for one in config.classes]
+    # Anything: evenly from nothing to the largest wall
+    nowhere = 1.0 / float(np.prod(config.largest))
+    total = nowhere + sum(densities)
+    best = int(np.argmax([*densities, nowhere]))
+    if best == len(densities):
+        return UNKNOWN, float(nowhere / total)
+    return config.classes[best].name, float(densities[best] / total)
+
+
+def _density(measured: FloatArray, variance: FloatArray, one: RectangleClass) -> float:
+    """Of width, height and height above the floor in a class (1/m^3)."""
+    mean = np.array([one.width, one.height, one.middle])
+    spread = np.array([one.width_sigma, one.height_sigma, one.middle_sigma]) ** 2 + variance
+    return float(
+        np.prod(np.exp(-0.5 * (measured - mean) ** 2 / spread) / np.sqrt(2 * np.pi * spread))
+    )
+
+
+def _region_faced(wTr: FloatArray, regions: Sequence[Region], in_front: float) -> int | None:
+    """The region of the point in front of a rectangle."""
+    from shapely import Point, Polygon
+
+    point = Point(wTr[:2, 3] + in_front * wTr[:2, 2])
+    for region in regions:
+        if Polygon(region.polygon).contains(point):
+            return region.id
+    return None
