@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 
@@ -18,8 +19,10 @@ from rgslam.config import Config
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
 from rgslam.frame_placing import FramePlacer, ScanPlace
+from rgslam.fusion import Landmark, fuse_landmarks
 from rgslam.gateways import detect_crossings
 from rgslam.geometry import adjoint, between, compose, inverse
+from rgslam.landmarks import describe_landmarks
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
 from rgslam.observations import FrameObservations, observe_frame
@@ -325,6 +328,16 @@ class Mapper:
             tell("optimisation", 1, 2)
             covariances = self._graph.covariances(self._poses)
             tell("optimisation", 2, 2)
+        frames = self._frames.frames()
+        landmarks: tuple[Landmark, ...] = ()
+        fusion_counts: Mapping[str, int] = {}
+        if any(frame.observations.rectangles for frame in frames):
+            with self.clock.stage("fusion"):
+                tell("fusion", 0, 1)
+                fusion = fuse_landmarks(self._poses, self._graph.edges, frames, self.config)
+                self._poses, covariances = fusion.keyframes, fusion.covariances
+                landmarks, fusion_counts = fusion.landmarks, fusion.counts
+                tell("fusion", 1, 1)
         trajectory = self.trajectory()
         with self.clock.stage("occupancy grid"):
             grid = build_occupancy_grid(
@@ -343,7 +356,8 @@ class Mapper:
             edges=tuple(self._graph.edges),
             grid=grid,
             config=self.config,
-            frames=tuple(self._frames.frames()),
+            rectangles=describe_landmarks(landmarks, segmentation.regions, self.config.landmarks),
+            frames=tuple(frames),
             run=RunInfo(
                 version=__version__,
                 recording=recording,
@@ -352,7 +366,7 @@ class Mapper:
                 peak_memory_mb=self.clock.peak_memory_mb(),
                 warnings=(*warnings, *self._warnings(), *segmentation.warnings),
                 partial=partial,
-                details={"loops": self._loop_details()},
+                details={"loops": self._loop_details(), "fusion": dict(fusion_counts)},
             ),
         )
 
