@@ -52,7 +52,8 @@ QUAD = [(150.0, 90.0), (430.3, 120.6), (460.0, 330.2), (140.5, 380.0)]
 def test_one_quadrangle_is_one_hypothesis() -> None:
     found = hypotheses(drawn(QUAD))
     assert len(found) == 1
-    assert largest_error(found, QUAD) < 0.15  # the drawing itself is good to 1/16 px and noise
+    # The drawing is good to 1/16 px, each of the two lines of a corner to 0.07 px.
+    assert largest_error(found, QUAD) < 0.2
     assert found.support.min() > 0.9
     assert found.passes[0] == 0
 
@@ -118,7 +119,7 @@ def synthetic_lines(normals: np.ndarray, offsets: np.ndarray) -> ImageLines:
     along = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
     ends = middle[:, None] + np.array([-50.0, 50.0])[:, None] * along[:, None]
     covariances = np.tile(np.diag([0.04, 1e-6]), (len(normals), 1, 1))
-    return ImageLines(ends, normals, offsets, covariances)
+    return ImageLines(ends, normals, offsets, covariances, np.ones(len(normals)))
 
 
 @given(st.lists(st.floats(-0.3, 0.3), min_size=4, max_size=4))

@@ -17,7 +17,6 @@ from rgslam.rectangles.detection import (
     Detection,
     from_lower_left,
     of_rectangular_shape,
-    without_rivals,
 )
 from rgslam.rectangles.gradients import gradient_image
 from rgslam.rectangles.hypotheses import PASS_COST, Quadrangles, find_quadrangles
@@ -28,6 +27,7 @@ from rgslam.rectangles.maximum_likelihood import (
     fit_rectangles,
 )
 from rgslam.rectangles.rejection import Rejection
+from rgslam.rectangles.rivals import without_rivals
 from rgslam.rectangles.verification import shape_probability
 from rgslam.types import FloatArray
 

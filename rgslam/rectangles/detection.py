@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -27,17 +26,17 @@ from rgslam.rectangles.plane_normal import plane_normal
 from rgslam.rectangles.ray_plane import shape_score
 from rgslam.rectangles.rejection import Rejection
 from rgslam.rectangles.right_search import find_in_right
+from rgslam.rectangles.rivals import without_rivals
 from rgslam.rectangles.verification import (
     RightCorners,
     measure_in_right,
     rectangle_probability,
 )
 from rgslam.stereo.disparity import DisparityImage, compute_disparity
-from rgslam.types import FloatArray, IntArray
+from rgslam.types import FloatArray
 
 _GreyImage = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
-_TOUCH_PX = 2.0  # px by which neighbours may overlap: what corners are off at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,41 +240,6 @@ def _ranks(quads: Quadrangles, measured: RightCorners, probability: FloatArray) 
     """Who explains an overlap better (k,): edges in both images, borders that end at corners."""
     border = np.minimum(quads.support, measured.support)
     return border.mean(axis=1) + 0.2 * probability - 2.0 * PASS_COST * quads.passes
-
-
-def without_rivals(quads: Quadrangles, max_overlap: float) -> IntArray:
-    """Indices of quadrangles that do not contradict a better one (they come best first)."""
-    kept: list[int] = []
-    low, high = quads.corners.min(axis=1), quads.corners.max(axis=1)
-    for i in range(len(quads)):
-        near = (low[i] < high[kept]).all(axis=1) & (low[kept] < high[i]).all(axis=1)
-        others = np.array(kept, dtype=np.int64)[near]
-        if not any(_contradict(quads, i, int(k), max_overlap) for k in others):
-            kept.append(i)
-    return np.array(kept, dtype=np.int64)
-
-
-def _contradict(quads: Quadrangles, later: int, better: int, max_overlap: float) -> bool:
-    """Whether two quadrangles cannot both be borders.
-
-    Two rectangles whose borders are seen whole lie apart or one within the other: a partial overlap
-    would hide a border. Two that nearly coincide read the same border in two ways. So do two that
-    share lines, but for a part of the better one with an end to its own border, as a pane has.
-    """
-    one, other = (quads.corners[i].astype(np.float32) for i in (later, better))
-    areas = abs(cv2.contourArea(one)), abs(cv2.contourArea(other))
-    common = cv2.intersectConvexConvex(one, other)[0]
-    if common > max_overlap * (sum(areas) - common):
-        return True
-    small, large = (one, other) if areas[0] < areas[1] else (other, one)
-    if common <= 0.5 * _TOUCH_PX * cv2.arcLength(small, True):
-        return False  # beside each other
-    inside = [cv2.pointPolygonTest(large, point.tolist(), True) for point in small]
-    if min(inside) < -_TOUCH_PX:
-        return True
-    shared = len(np.intersect1d(quads.lines[later], quads.lines[better])) >= 2
-    part = areas[0] < areas[1] and quads.passes[later] <= 1
-    return shared and not part
 
 
 def _rectangle(

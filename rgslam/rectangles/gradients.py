@@ -16,7 +16,8 @@ from rgslam.stereo.noise import image_noise
 from rgslam.types import FloatArray
 
 _GreyImage = npt.NDArray[np.uint8]
-_STEP = 0.5  # px between samples of a profile: two per pixel lose nothing of a Sobel gradient
+FINE_STEP = 0.5  # px between samples of a profile: two per pixel lose nothing of a Sobel gradient
+COARSE_STEP = 1.0  # px, where it is enough to know that there is an edge, to a pixel
 _ALIGNED = math.cos(math.radians(30))  # the gradient of an edge along a line points across it
 _SIGMAS = 3.0  # an edge stands out of the noise
 
@@ -27,6 +28,11 @@ class GradientImage:
 
     xy: npt.NDArray[np.float32]  # (h, w, 2), grey values per px
     noise: float  # grey values per px, standard deviation that the image's noise leaves in xy
+
+    @property
+    def least(self) -> float:
+        """Gradient of an edge that stands out of the noise, grey values per px."""
+        return _SIGMAS * self.noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +75,12 @@ def edge_offsets(
         reach: Half length of the profile, px.
     """
     points = np.ascontiguousarray(points_px, dtype=np.float64)
-    half = math.ceil(reach / _STEP)
     offset, strength = _strongest(
-        gradient.xy, points, np.ascontiguousarray(normals, float), half, _SIGMAS * gradient.noise
+        gradient.xy,
+        points,
+        np.ascontiguousarray(normals, float),
+        math.ceil(reach / FINE_STEP) + 1,  # a maximum needs a neighbour one pixel away
+        gradient.least,
     )
     return EdgeOffsets(offset, strength)
 
@@ -87,35 +96,65 @@ def _strongest(
     lines, samples = points.shape[:2]
     offset = np.full((lines, samples), np.nan)
     strength = np.zeros((lines, samples))
-    height, width = xy.shape[0], xy.shape[1]
-    response = np.zeros(2 * half + 1)
+    response = np.empty(2 * half + 1, dtype=np.float32)
     for i in range(lines):
         nx, ny = normals[i, 0], normals[i, 1]
         for k in range(samples):
-            best, best_length = -1, 0.0
-            for step in range(2 * half + 1):
-                shift = (step - half) * _STEP
-                x, y = points[i, k, 0] + shift * nx, points[i, k, 1] + shift * ny
-                response[step] = 0.0
-                if not (0.0 <= x < width - 1 and 0.0 <= y < height - 1):
-                    continue
-                col, row = int(x), int(y)
-                u, v = x - col, y - row
-                a, b, c, d = (1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v
-                gx = a * xy[row, col, 0] + b * xy[row, col + 1, 0]
-                gx += c * xy[row + 1, col, 0] + d * xy[row + 1, col + 1, 0]
-                gy = a * xy[row, col, 1] + b * xy[row, col + 1, 1]
-                gy += c * xy[row + 1, col, 1] + d * xy[row + 1, col + 1, 1]
-                response[step] = abs(gx * nx + gy * ny)
-                if best < 0 or response[step] > response[best]:
-                    best, best_length = step, math.sqrt(gx * gx + gy * gy)
-            if best <= 0 or best >= 2 * half or response[best] < least:
-                continue
-            if response[best] < _ALIGNED * best_length:
-                continue
-            before, after = response[best - 1], response[best + 1]
-            curve = before - 2.0 * response[best] + after
-            shift = 0.5 * (before - after) / curve if curve < 0 else 0.0
-            offset[i, k] = (best - half + shift) * _STEP
-            strength[i, k] = response[best]
+            x, y = points[i, k, 0], points[i, k, 1]
+            found, strong = edge_across(xy, x, y, nx, ny, half, FINE_STEP, least, response)
+            if strong > 0.0:
+                offset[i, k], strength[i, k] = found, strong
     return offset, strength
+
+
+@njit(cache=True, fastmath={"contract", "arcp", "reassoc"})
+def edge_across(
+    xy: npt.NDArray[np.float32], x: float, y: float, nx: float, ny: float, half: int, step: float,
+    least: float, response: npt.NDArray[np.float32],
+) -> tuple[float, float]:  # fmt: skip
+    """Where the strongest edge across one point is (px), and how strong; 0 where there is none.
+
+    In single precision, which is twice as fast and exact to 1e-4 px.
+
+    Args:
+        xy: Gradient (h, w, 2).
+        x: Place of the point, px.
+        y: Likewise.
+        nx: Unit vector across the line.
+        ny: Likewise.
+        half: Samples to either side of the point.
+        step: Between samples, px.
+        least: Gradient of an edge that stands out of the noise.
+        response: (at least 2 half + 1,), overwritten.
+    """
+    reach = half * step
+    if not (reach <= x < xy.shape[1] - 1 - reach and reach <= y < xy.shape[0] - 1 - reach):
+        return 0.0, 0.0
+    across_x, across_y, one = np.float32(nx), np.float32(ny), np.float32(1.0)
+    at_x, at_y = np.float32(x - reach * nx), np.float32(y - reach * ny)
+    step_x, step_y = np.float32(step * nx), np.float32(step * ny)
+    best, most, square = 0, np.float32(-1.0), np.float32(0.0)
+    for index in range(2 * half + 1):
+        col, row = np.int32(at_x), np.int32(at_y)
+        u, v = at_x - np.float32(col), at_y - np.float32(row)
+        a, b, c, d = (one - u) * (one - v), u * (one - v), (one - u) * v, u * v
+        gx = a * xy[row, col, 0] + b * xy[row, col + 1, 0]
+        gx += c * xy[row + 1, col, 0] + d * xy[row + 1, col + 1, 0]
+        gy = a * xy[row, col, 1] + b * xy[row, col + 1, 1]
+        gy += c * xy[row + 1, col, 1] + d * xy[row + 1, col + 1, 1]
+        here = abs(gx * across_x + gy * across_y)
+        response[index] = here
+        if here > most:
+            best, most, square = index, here, gx * gx + gy * gy
+        at_x, at_y = at_x + step_x, at_y + step_y
+    # The vertex of a parabola through values one pixel apart: the gradient of a sharp edge is flat
+    # on top for that long, where nearer values are noise.
+    apart = round(1.0 / step)
+    if best < apart or best > 2 * half - apart or most < least:
+        return 0.0, 0.0
+    if most * most < _ALIGNED * _ALIGNED * square:
+        return 0.0, 0.0
+    before, after = float(response[best - apart]), float(response[best + apart])
+    curve = before - 2.0 * most + after
+    shift = 0.5 * (before - after) / curve if curve < 0 else 0.0
+    return (best - half) * step + shift * apart * step, float(most)

@@ -85,6 +85,39 @@ def close_quadrangles(
 
 
 @njit(cache=True)
+def intersections(
+    lines: FloatArray, reach: FloatArray, least_sine: float, height: int, width: int
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Where all pairs of lines meet, for `Corners`.
+
+    Args:
+        lines: (n, 4), midpoint and unit direction, px.
+        reach: (n,), px from the midpoint that a line may be extended to.
+        least_sine: Of the angle between lines that make a corner.
+        height: Of the image, px.
+        width: Likewise.
+    """
+    count = len(lines)
+    points, along = np.empty((count, count, 2)), np.zeros((count, count))
+    valid = np.zeros((count, count), dtype=np.bool_)
+    for i in range(count):
+        for j in range(i + 1, count):
+            sine = lines[i, 2] * lines[j, 3] - lines[i, 3] * lines[j, 2]
+            dx, dy = lines[j, 0] - lines[i, 0], lines[j, 1] - lines[i, 1]
+            if abs(sine) < least_sine:
+                continue
+            u = (dx * lines[j, 3] - dy * lines[j, 2]) / sine
+            v = (dx * lines[i, 3] - dy * lines[i, 2]) / sine
+            x, y = lines[i, 0] + u * lines[i, 2], lines[i, 1] + u * lines[i, 3]
+            points[i, j, 0] = points[j, i, 0] = x
+            points[i, j, 1] = points[j, i, 1] = y
+            along[i, j], along[j, i] = u, v
+            inside = 0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0
+            valid[i, j] = valid[j, i] = inside and abs(u) <= reach[i] and abs(v) <= reach[j]
+    return points, along, valid
+
+
+@njit(cache=True)
 def _share(
     i: int, a: float, b: float, cumulated: FloatArray, first: IntArray, count: IntArray,
     begin: FloatArray,
@@ -139,7 +172,7 @@ def _closed(
     passes = np.empty(_MOST_FOUND, dtype=np.int64)
     refused = np.zeros(5, dtype=np.int64)
     lines = np.empty(4, dtype=np.int64)
-    share = np.empty(4)
+    share, room = np.empty(4), np.empty((4, 3))
     total, start = 0, 0
     while start < len(side):
         a, b = first_arm[start], second_arm[start]
@@ -164,7 +197,7 @@ def _closed(
                     share[s] = _share(
                         i, along[i, before], along[i, after], cumulated, first, count, begin
                     )
-                reason = _refusal(lines, points, share, limits)
+                reason = _refusal(lines, points, share, limits, room)
                 if reason != _GOOD:
                     refused[reason] += 1
                     continue
@@ -173,34 +206,38 @@ def _closed(
                     refused[_WEAK] += 1
                     continue
                 if total < _MOST_FOUND:
-                    members[total], quality[total], passes[total] = lines, share, passed
+                    for s in range(4):
+                        members[total, s], quality[total, s] = lines[s], share[s]
+                    passes[total] = passed
                     total += 1
         start = end
     return members[:total].copy(), quality[:total].copy(), passes[:total].copy(), refused
 
 
 @njit(cache=True)
-def _refusal(lines: IntArray, points: FloatArray, share: FloatArray, limits: FloatArray) -> int:
-    """Why four lines in order are no projected rectangle, or _GOOD."""
-    side = np.empty((4, 2))
-    length = np.empty(4)
+def _refusal(
+    lines: IntArray, points: FloatArray, share: FloatArray, limits: FloatArray, side: FloatArray
+) -> int:
+    """Why four lines in order are no projected rectangle, or _GOOD; overwrites `side` (4, 3)."""
+    perimeter, seen, weakest = 0.0, 0.0, 1.0
     for s in range(4):
-        start = points[lines[(s + 3) % 4], lines[s]]
-        stop = points[lines[s], lines[(s + 1) % 4]]
-        side[s] = stop - start
-        length[s] = math.hypot(side[s, 0], side[s, 1])
-    turns = 0
+        before, i, after = lines[(s + 3) % 4], lines[s], lines[(s + 1) % 4]
+        for axis in range(2):
+            side[s, axis] = points[i, after, axis] - points[before, i, axis]
+        side[s, 2] = math.hypot(side[s, 0], side[s, 1])
+        perimeter, seen = perimeter + side[s, 2], seen + share[s] * side[s, 2]
+        weakest = min(weakest, share[s])
+    turns, largest = 0, 0.0
     for s in range(4):
         n = (s + 1) % 4
         turns += 1 if side[s, 0] * side[n, 1] - side[s, 1] * side[n, 0] > 0 else -1
+        cosine = abs(side[s, 0] * side[n, 0] + side[s, 1] * side[n, 1])
+        largest = max(largest, cosine / (side[s, 2] * side[n, 2]))
     if abs(turns) != 4:
         return _CROSSED
-    for s in range(4):
-        n = (s + 1) % 4
-        cosine = abs(side[s, 0] * side[n, 0] + side[s, 1] * side[n, 1]) / (length[s] * length[n])
-        if cosine > limits[1]:
-            return _ANGLE
-    if share.min() < limits[2] or (share * length).sum() / length.sum() < limits[3]:
+    if largest > limits[1]:
+        return _ANGLE
+    if weakest < limits[2] or seen < limits[3] * perimeter:
         return _WEAK
     return _GOOD
 

@@ -17,9 +17,15 @@ import numpy as np
 
 from rgslam.config import RectangleConfig
 from rgslam.rectangles.gradients import GradientImage
-from rgslam.rectangles.grouping import REASONS, Corners, close_quadrangles, distinct
+from rgslam.rectangles.grouping import (
+    REASONS,
+    Corners,
+    close_quadrangles,
+    distinct,
+    intersections,
+)
 from rgslam.rectangles.line_segments import ImageLines
-from rgslam.rectangles.line_support import LineSupport, line_support
+from rgslam.rectangles.line_support import line_support
 from rgslam.rectangles.rejection import Rejection
 from rgslam.types import FloatArray, IntArray
 
@@ -61,9 +67,10 @@ def find_quadrangles(
     if len(lines) < 4:
         rejected[Rejection.TOO_FEW_LINES] = 1
         return _none(rejected)
+    shape = (gradient.xy.shape[0], gradient.xy.shape[1])
     support = line_support(lines, gradient, config)
-    corners = find_corners(lines, support, gradient.xy.shape[:2], config)
-    diagonal = math.hypot(*gradient.xy.shape[:2])
+    corners = find_corners(lines, shape, config)
+    diagonal = math.hypot(*shape)
     members, quality, passes, counts = close_quadrangles(corners, support, diagonal, config)
     for reason, count in zip(REASONS, counts, strict=True):
         rejected[reason] = rejected.get(reason, 0) + int(count)
@@ -86,29 +93,23 @@ def _none(rejected: Mapping[Rejection, int]) -> Quadrangles:
     )
 
 
-def find_corners(
-    lines: ImageLines, support: LineSupport, shape: tuple[int, ...], config: RectangleConfig
-) -> Corners:
+def find_corners(lines: ImageLines, shape: tuple[int, int], config: RectangleConfig) -> Corners:
     """Where each pair of lines meets, and whether both reach that point.
 
     Args:
         lines: n of them.
-        support: Of these lines.
         shape: Height and width of the image, px.
         config: Angle between sides and reach of a line beyond its ends.
     """
-    normals, offsets = lines.normals, lines.offsets
-    sine = normals[:, None, 0] * normals[None, :, 1] - normals[:, None, 1] * normals[None, :, 0]
-    crossing = np.abs(sine) >= math.sin(math.radians(config.parallel_deg))
-    safe = np.where(crossing, sine, 1.0)
-    x = (normals[:, None, 1] * offsets[None] - normals[None, :, 1] * offsets[:, None]) / safe
-    y = (normals[None, :, 0] * offsets[:, None] - normals[:, None, 0] * offsets[None]) / safe
-    points = np.stack([x, y], axis=-1)
-    along = ((points - lines.midpoints[:, None]) * lines.directions[:, None]).sum(axis=-1)
     reach = lines.lengths * (0.5 + config.corner_gap) + config.min_piece_px
-    near = np.abs(along) <= reach[:, None]
-    inside = (x >= 0) & (y >= 0) & (x <= shape[1] - 1) & (y <= shape[0] - 1)
-    return Corners(points, along, crossing & near & near.T & inside)
+    return Corners(
+        *intersections(
+            np.concatenate([lines.midpoints, lines.directions], axis=1),
+            reach,
+            math.sin(math.radians(config.parallel_deg)),
+            *shape,
+        )
+    )
 
 
 def corners_of_lines(lines: ImageLines, members: IntArray) -> tuple[FloatArray, FloatArray]:

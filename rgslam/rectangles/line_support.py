@@ -7,15 +7,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
 from rgslam.config import RectangleConfig
-from rgslam.rectangles.gradients import GradientImage, edge_offsets
+from rgslam.rectangles.gradients import COARSE_STEP, GradientImage, edge_across
 from rgslam.rectangles.line_segments import ImageLines
 from rgslam.types import FloatArray, IntArray
 
 STEP = 2.0  # px between samples: neighbouring ones see the same edge
-_REACH = 2.0  # px: an edge whose maximum is within 1.5 px of the line lies on it
-
+_HALF = 2  # steps: an edge whose maximum is within 1.5 px of the line lies on it
 _SAME_EDGE = 0.2  # an edge changes its contrast with what is behind it, but hardly more than this
 
 
@@ -36,18 +37,43 @@ def line_support(
     half = lines.lengths * (0.5 + config.corner_gap) + 2.0 * config.min_piece_px
     count = np.ceil(2 * half / STEP).astype(np.int64) + 1
     first = np.concatenate([[0], np.cumsum(count + 1)[:-1]]).astype(np.int64)
-    line = np.repeat(np.arange(len(lines)), count)
-    position = np.arange(len(line)) - np.repeat(np.cumsum(count) - count, count)
-    along = position * STEP - half[line]
-    points = lines.midpoints[line] + along[:, None] * lines.directions[line]
-    found = edge_offsets(gradient, points[:, None], lines.normals[line], _REACH)
-    own = np.abs(along) <= 0.5 * lines.lengths[line]
-    contrast = np.zeros(len(lines))
-    np.add.at(contrast, line[own], found.strength[own, 0])
-    contrast /= np.maximum(np.bincount(line[own], minlength=len(lines)), 1)
-    edge = found.strength[:, 0] > _SAME_EDGE * contrast[line]
-    cumulated = np.zeros(len(line) + len(lines))
-    cumulated[np.arange(len(line)) + line + 1] = edge
-    running = np.cumsum(cumulated)
-    running -= np.repeat(running[first], count + 1)
-    return LineSupport(running, first, count, -half)
+    cumulated = _cumulated(
+        np.concatenate([lines.midpoints, lines.directions], axis=1),
+        lines.lengths,
+        half,
+        first,
+        count,
+        gradient.xy,
+        gradient.least,
+    )
+    return LineSupport(cumulated, first, count, -half)
+
+
+@njit(cache=True)
+def _cumulated(
+    lines: FloatArray, lengths: FloatArray, half: FloatArray, first: IntArray, count: IntArray,
+    xy: npt.NDArray[np.float32], least: float,
+) -> FloatArray:  # fmt: skip
+    """Samples with an edge before each one (total + n,), line after line; `lines` is (n, 4)."""
+    height, width = xy.shape[0], xy.shape[1]
+    result = np.zeros(first[-1] + count[-1] + 1)
+    response = np.empty(2 * _HALF + 1, dtype=np.float32)
+    strength = np.empty(count.max())
+    for i in range(len(lines)):
+        x, y, ax, ay = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
+        contrast, own = 0.0, 0
+        for k in range(count[i]):
+            along = k * STEP - half[i]
+            at_x, at_y = x + along * ax, y + along * ay
+            strength[k] = 0.0
+            if 0.0 <= at_x < width and 0.0 <= at_y < height:
+                _, strength[k] = edge_across(
+                    xy, at_x, at_y, ay, -ax, _HALF, COARSE_STEP, least, response
+                )
+            if abs(along) <= 0.5 * lengths[i]:
+                contrast, own = contrast + strength[k], own + 1
+        enough = _SAME_EDGE * contrast / max(own, 1)
+        for k in range(count[i]):
+            edge = 1.0 if strength[k] > enough else 0.0
+            result[first[i] + k + 1] = result[first[i] + k] + edge
+    return result

@@ -106,11 +106,15 @@ def fit_rectangles(
 
     limit = _DOUBTFUL_COST * np.maximum(problem.degrees_of_freedom, 1)
     doubtful = everyone[~(result.costs[everyone] < limit[everyone])]
-    if len(doubtful):
-        for start in starts.parallelogram_starts(
-            measurements.left_px[doubtful], camera, depths[doubtful], weights[doubtful]
-        ):
-            result.improve(problem, doubtful, start, rows=np.arange(len(doubtful)))
+    # Four corners seen twice have their places in space; one image has many shapes to try.
+    twice = np.isfinite(measurements.right_px[doubtful]).all(axis=(1, 2)) & problem.with_right
+    for rows, others in (
+        (doubtful[twice], starts.triangulated_starts),
+        (doubtful[~twice], starts.parallelogram_starts),
+    ):
+        if len(rows):
+            for start in others(measurements.left_px[rows], camera, depths[rows], weights[rows]):
+                result.improve(problem, rows, start, rows=np.arange(len(rows)))
     found = result.estimates(problem)
     return _allow_for_rivals(found, rival.estimates(problem), weak) if len(weak) else found
 

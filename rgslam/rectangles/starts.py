@@ -72,6 +72,13 @@ def closed_form_starts(
     return closed, mirror
 
 
+def triangulated_starts(
+    corners_px: FloatArray, camera: PinholeCamera, depths: FloatArray, weights: FloatArray
+) -> list[Starts]:
+    """The rectangle nearest to four corners that have a depth each (no use is made of weights)."""
+    return [rectangle_of_corners(camera.rays(corners_px) * depths[..., None])]
+
+
 def perspective_strength(corners_px: FloatArray, sigma_px: FloatArray) -> FloatArray:
     """How many sigmas (n,) the corners are from a parallelogram.
 

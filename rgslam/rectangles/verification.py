@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgslam.config import RectangleConfig
-from rgslam.rectangles.gradients import GradientImage, edge_offsets
+from rgslam.rectangles.gradients import GradientImage
 from rgslam.rectangles.hypotheses import corners_of_lines
 from rgslam.rectangles.line_segments import refine_lines
 from rgslam.types import FloatArray, IntArray
@@ -41,7 +41,6 @@ class RightCorners:
     corners: FloatArray  # (k, 4, 2), px
     covariances: FloatArray  # (k, 8, 8), px^2
     support: FloatArray  # (k, 4), share of each side with an edge
-    chance: FloatArray  # (k,), the same beside it, where the rectangle is not
 
 
 def measure_in_right(
@@ -64,21 +63,7 @@ def measure_in_right(
     # Lines that ran away from what was predicted follow something else.
     usable &= np.abs(corners - predicted).max(axis=(1, 2)) <= 4.0 * config.refine_reach_px
     corners = np.where(usable[:, None, None], corners, np.nan)
-    support = side_support(corners, right)
-    shifted = [side_support(corners + np.array([d, 0.0]), right).mean(axis=1) for d in _DECOYS]
-    return RightCorners(corners, covariances, support, np.mean(shifted, axis=0))
-
-
-def side_support(corners: FloatArray, gradient: GradientImage) -> FloatArray:
-    """Share (k, 4) of each side of quadrangles (k, 4, 2) on which the image has an edge."""
-    share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    side = np.roll(corners, -1, axis=1) - corners
-    points = corners[:, :, None] + share[:, None] * side[:, :, None]
-    across = np.stack([-side[..., 1], side[..., 0]], axis=-1)
-    across /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9)
-    flat = points.reshape(-1, _SAMPLES, 2)
-    found = edge_offsets(gradient, np.nan_to_num(flat, nan=-1e3), across.reshape(-1, 2), _REACH)
-    return (found.strength > 0).mean(axis=1).reshape(-1, 4)
+    return RightCorners(corners, covariances, lines.seen.reshape(count, 4))
 
 
 def rectangle_probability(
@@ -96,7 +81,7 @@ def rectangle_probability(
     length = np.linalg.norm(side, axis=2)
     runs = length.sum(axis=1) / _EDGE_RUN
     share = (measured.support * length).sum(axis=1) / np.maximum(length.sum(axis=1), 1e-9)
-    chance = np.clip(measured.chance, 0.05, _SEEN - 0.05)
+    chance = 0.2
     edges = share * np.log(_SEEN / chance) + (1 - share) * np.log((1 - _SEEN) / (1 - chance))
     prior = math.log(config.prior / (1 - config.prior))
     return _logistic(prior + runs * edges) * shape_probability(costs, passes, config)
