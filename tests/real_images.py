@@ -16,9 +16,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rgslam.camera import PinholeCamera
 from rgslam.config import Config
+from rgslam.rectangles.cuboid_fusion import RectangleView, fuse_cuboids
+from rgslam.rectangles.depth_image import detect_with_depth
 from rgslam.rectangles.detection import detect_rectangles
 from rgslam.rectangles.gradients import gradient_image
 from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
@@ -29,6 +32,9 @@ from rgslam.stereo import read_calibration, rectification_maps, rectify_pair
 
 CHESSBOARD = "opencv_chessboard_stereo"
 SHEET = np.array([0.2159, 0.2794])  # m, US Letter
+# The edges of the cabinet's truth lie 2 px off the images' (`edge_rms_px`), 1.3 m away: that is how
+# well poses and images belong together. rad^2, m^2.
+CABINET_POSE_COVARIANCE = np.diag([0.004**2] * 3 + [0.005**2] * 3)
 NEAR_PX = 5.0  # a found rectangle is the annotated one when no corner is farther off
 
 
@@ -180,6 +186,60 @@ def york_urban_angles(data: Path, most: int | None = None) -> tuple[np.ndarray, 
     return np.concatenate(every), np.concatenate(best)
 
 
+def cabinet_views(
+    data: Path, out: Path | None = None
+) -> tuple[list[RectangleView], dict[str, Any]]:
+    """Rectangles of the RGB-D frames around a cabinet, at their given poses, and the truth.
+
+    Frame 0 is left out: its image and pose do not belong together (MANIFEST.md).
+    """
+    folder = data / "vision" / "tum_fr3_cabinet"
+    truth = json.loads((folder / "cabinet_truth.json").read_text())
+    K = np.array(truth["K"])
+    poses = np.loadtxt(folder / "truth_cam_poses.txt")
+    views = []
+    for frame in truth["frames"][1:]:
+        image = grey(folder / frame["rgb"])
+        depth = cv2.imread(str(folder / frame["depth"]), cv2.IMREAD_UNCHANGED) / 5000.0  # m
+        camera = PinholeCamera(K[0, 0], K[1, 1], K[0, 2], K[1, 2], *image.shape[::-1])
+        found = detect_with_depth(image, depth, camera).rectangles
+        if out is not None:
+            cv2.imwrite(
+                str(out / f"cabinet_{frame['frame']:02}.png"), draw_overlay(image, found, camera)
+            )
+        wTc = np.eye(4)
+        wTc[:3, :3] = Rotation.from_quat(poses[frame["frame"], 4:]).as_matrix()
+        wTc[:3, 3] = poses[frame["frame"], 1:4]
+        views.append(RectangleView(found, camera, wTc, CABINET_POSE_COVARIANCE))
+    return views, {**truth, "frames": truth["frames"][1:]}
+
+
+def score_cabinet_faces(views: list[RectangleView], truth: dict[str, Any]) -> list[Score]:
+    """Every face that lies wholly in its image."""
+    scores = []
+    for view, frame in zip(views, truth["frames"], strict=True):
+        quads = np.array([r.left_px for r in view.rectangles]).reshape(-1, 4, 2)
+        for name, face in frame["visible_faces"].items():
+            if not face["fully_inside"]:
+                continue
+            corners = np.array(face["corners_px"])
+            distance = corner_distances(quads, corners) if len(quads) else np.array([np.inf])
+            best, near = int(distance.argmin()), NEAR_PX + frame["edge_rms_px"]
+            if distance[best] > 2.0 * near:  # the truth is off by its own edge error at each corner
+                scores.append(Score(f"cabinet {frame['frame']} {name}", False, count=len(quads)))
+                continue
+            sides = np.linalg.norm(np.diff(face["corners_cam_xyz_m"], axis=0), axis=1)[:2]
+            size = view.rectangles[best].size
+            error = np.abs(np.sort(size) - np.sort(sides))
+            scores.append(
+                Score(
+                    f"cabinet {frame['frame']} {name}", True, float(error.max()),
+                    float((error / np.sort(sides)).max()), count=len(quads),
+                )
+            )  # fmt: skip
+    return scores
+
+
 def main(data: Path, out: Path | None) -> None:
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
@@ -190,6 +250,18 @@ def main(data: Path, out: Path | None) -> None:
             f"{s.name:28} found {s.found!s:5} size {1000 * s.size_error:6.1f} mm "
             f"{100 * s.relative_error:5.2f} % normal {s.normal_deg:5.2f} deg, {s.count} accepted"
         )
+    views, truth = cabinet_views(data, out=out)
+    faces = score_cabinet_faces(views, truth)
+    good = [s.found and s.size_error <= 0.03 for s in faces]
+    print(
+        f"cabinet: {sum(s.found for s in faces)} of {len(faces)} faces found, {sum(good)} with a "
+        f"size within 3 cm, {sum(len(v.rectangles) for v in views)} rectangles accepted"
+    )
+    for box in fuse_cuboids(views):
+        sides = " x ".join(
+            f"{100 * a:.1f} ± {100 * s:.1f}" for a, s in zip(box.size, box.size_sigma, strict=True)
+        )
+        print(f"cabinet, all frames: {sides} cm from {len(box.faces)} faces")
     for name, error in corner_errors_2d(data).items():
         print(f"{name:60} {error:6.2f} px")
     every, best = york_urban_angles(data)

@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from real_images import (
+    cabinet_views,
     corner_errors_2d,
     score_annotated,
     score_chessboard,
     york_urban_angles,
 )
+
+from rgslam.rectangles.cuboid_fusion import fuse_cuboids
 
 pytestmark = pytest.mark.data
 
@@ -53,6 +56,16 @@ def test_vanishing_directions_of_york_urban(vision: Path) -> None:
     angles, _ = york_urban_angles(vision, most=6)
     assert len(angles) > 25
     assert np.median(angles) <= 2.0
+
+
+def test_cabinet_of_all_views(vision: Path) -> None:
+    views, truth = cabinet_views(vision)
+    (box,) = fuse_cuboids(views)
+    assert np.abs(np.sort(box.size) - np.sort(truth["size_m"])).max() <= 0.02
+    corners = np.array(truth["corners_world_m"])
+    apart = np.linalg.norm(box.corners[:, None] - corners, axis=2).min(axis=1)
+    assert apart.max() <= 0.02
+    assert len({face.side for face in box.faces}) == 5  # it stands on the sixth
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ import numpy as np
 from rgslam.types import FloatArray
 
 _GATE = 14.2  # chi-square with 3 degrees of freedom, 99.7 %
-_EDGE_RADIUS = 0.01  # m, standard deviation: rounded edges and overlapping boards of furniture
+EDGE_RADIUS = 0.01  # m, standard deviation: rounded edges and overlapping boards of furniture
 _RIGHT_ANGLE_DEG = 10.0  # what is farther off is no box, whatever its covariance says
 
 
@@ -96,7 +96,7 @@ def _normal(face: FloatArray) -> FloatArray:
 
 def _coincide(apart: FloatArray, covariances: FloatArray) -> bool:
     """Whether points are the same, given the covariance (k, 3, 3) of their differences (k, 3)."""
-    information = np.linalg.inv(covariances + _EDGE_RADIUS**2 * np.eye(3))
+    information = np.linalg.inv(covariances + EDGE_RADIUS**2 * np.eye(3))
     distances = np.einsum("ki,kij,kj->k", apart, information, apart)
     return bool((distances <= _GATE).all())
 
