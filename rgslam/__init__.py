@@ -23,6 +23,10 @@ _PUBLIC = {
     "RGMap": "rgslam.rg_map",
     "segment_grid": "rgslam.regions",
     "reconstruct_rectangle": "rgslam.rectangles.reconstruct",
+    "detect_rectangles": "rgslam.rectangles.detection",
+    "fuse_cuboids": "rgslam.rectangles.cuboid_fusion",
+    "RectangleView": "rgslam.rectangles.cuboid_fusion",
+    "next_best_view": "rgslam.rectangles.next_best_view",
     "PinholeCamera": "rgslam.camera",
     "StereoCamera": "rgslam.camera",
     "Config": "rgslam.config",
@@ -35,6 +39,7 @@ _PUBLIC = {
     "RgslamError": "rgslam.errors",
     "RecordingError": "rgslam.errors",
     "ConfigError": "rgslam.errors",
+    "CalibrationError": "rgslam.errors",
     "MapError": "rgslam.errors",
     "EvaluationError": "rgslam.errors",
     "DatasetError": "rgslam.errors",
@@ -46,6 +51,7 @@ if TYPE_CHECKING:
     from rgslam.camera import PinholeCamera as PinholeCamera
     from rgslam.camera import StereoCamera as StereoCamera
     from rgslam.config import Config as Config
+    from rgslam.errors import CalibrationError as CalibrationError
     from rgslam.errors import ConfigError as ConfigError
     from rgslam.errors import DatasetError as DatasetError
     from rgslam.errors import EvaluationError as EvaluationError
@@ -56,6 +62,10 @@ if TYPE_CHECKING:
     from rgslam.mapper import Mapper as Mapper
     from rgslam.pipeline import build_map as build_map
     from rgslam.recording_check import check_recording as check_recording
+    from rgslam.rectangles.cuboid_fusion import RectangleView as RectangleView
+    from rgslam.rectangles.cuboid_fusion import fuse_cuboids as fuse_cuboids
+    from rgslam.rectangles.detection import detect_rectangles as detect_rectangles
+    from rgslam.rectangles.next_best_view import next_best_view as next_best_view
     from rgslam.rectangles.reconstruct import reconstruct_rectangle as reconstruct_rectangle
     from rgslam.regions import segment_grid as segment_grid
     from rgslam.rg_map import RGMap as RGMap

@@ -222,7 +222,7 @@ def rectangles(
         Path | None, typer.Option("--config", help="YAML file; what it leaves out is default.")
     ] = None,
 ) -> None:
-    """Find the rectangles of one stereo pair, with pose, size and covariance.
+    """Find the rectangles and cuboids of one stereo pair, with pose, size and covariance.
 
     Writes rectangles.json and overlay.png.
 
@@ -242,7 +242,16 @@ def rectangles(
             f"{index}: {size[0]:.1f} ± {sigma[0]:.1f} × {size[1]:.1f} ± {sigma[1]:.1f} cm, "
             f"{found.translation[2]:.2f} m away, probability {found.probability:.2f}"
         )
-    typer.echo(f"{len(result.detection.rectangles)} rectangles written to {out}")
+    for index, cuboid in enumerate(result.cuboids):
+        sides = " × ".join(
+            f"{100 * size:.1f} ± {100 * sigma:.1f}"
+            for size, sigma in zip(cuboid.size, cuboid.size_sigma, strict=True)
+        )
+        members = ", ".join(str(face.rectangle) for face in cuboid.faces)
+        typer.echo(f"cuboid {index}: {sides} cm, of rectangles {members}")
+    counts = {"rectangle": len(result.detection.rectangles), "cuboid": len(result.cuboids)}
+    found_text = ", ".join(f"{n} {name}{'' if n == 1 else 's'}" for name, n in counts.items())
+    typer.echo(f"{found_text} written to {out}")
 
 
 @app.command()

@@ -205,7 +205,8 @@ def cabinet_views(
         found = detect_with_depth(image, depth, camera).rectangles
         if out is not None:
             cv2.imwrite(
-                str(out / f"cabinet_{frame['frame']:02}.png"), draw_overlay(image, found, camera)
+                str(out / f"cabinet_{frame['frame']:02}.png"),
+                draw_overlay(image, found, camera, fuse_cuboids([RectangleView(found, camera)])),
             )
         wTc = np.eye(4)
         wTc[:3, :3] = Rotation.from_quat(poses[frame["frame"], 4:]).as_matrix()

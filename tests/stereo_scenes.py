@@ -49,6 +49,31 @@ def facing(yaw_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0) 
     )
 
 
+def box_boards(
+    rotation: np.ndarray, centre: np.ndarray, size: Sequence[float], greys: Sequence[float]
+) -> list[Board]:
+    """The sides of a box that the camera at the origin sees, one grey value each.
+
+    Args:
+        rotation: (3, 3), its axes in c.
+        centre: (3,), m, c.
+        size: along its axes, m.
+        greys: for the sides across x, y, z.
+    """
+    boards = []
+    for axis in range(3):
+        normal = -np.sign(rotation[:, axis] @ centre) * rotation[:, axis]
+        middle = centre + 0.5 * size[axis] * normal
+        if normal @ middle < 0.0:
+            across, up = rotation[:, (axis + 1) % 3], rotation[:, (axis + 2) % 3]
+            if np.cross(across, up) @ normal < 0.0:
+                across = -across
+            turn = np.stack([across, up, normal], axis=1)
+            sides = (size[(axis + 1) % 3], size[(axis + 2) % 3])
+            boards.append(Board(turn, middle, sides, greys[axis]))
+    return boards
+
+
 def render(
     boards: Sequence[Board],
     camera: StereoCamera = CAMERA,

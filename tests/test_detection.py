@@ -11,7 +11,6 @@ from stereo_scenes import CAMERA, Board, facing, render
 from rgslam.config import Config, RectangleConfig
 from rgslam.errors import CalibrationError
 from rgslam.rectangles.detection import Detection, detect_rectangles
-from rgslam.rectangles.overlay import draw_overlay, size_text
 from rgslam.rectangles.rejection import Rejection
 
 SHEET = Board(facing(25.0, 10.0, 5.0), np.array([0.1, 0.05, 1.6]), (0.9, 0.6))
@@ -117,14 +116,3 @@ def test_wrong_image_size_is_said() -> None:
 def test_config_reaches_the_stage() -> None:
     strict = Config(rectangles=RectangleConfig(min_side=0.6))
     assert detect_rectangles(*render([SHEET]), CAMERA, strict).rectangles == ()
-
-
-def test_overlay_draws_the_sides(sheet: Detection) -> None:
-    left, _ = render([SHEET])
-    overlay = draw_overlay(left, sheet.rectangles, CAMERA)
-    assert overlay.shape == (2 * CAMERA.height, 2 * CAMERA.width, 3)
-    coloured = np.ptp(overlay.astype(int), axis=2) > 40
-    middle = CAMERA.project(0.5 * (SHEET.corners[0] + SHEET.corners[1])) * 2
-    x, y = np.rint(middle).astype(int)
-    assert coloured[y - 3 : y + 4, x - 3 : x + 4].any()
-    assert size_text(sheet.rectangles[0]).startswith(("90.", "89."))

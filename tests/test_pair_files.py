@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from stereo_scenes import CAMERA, Board, facing, render
+from stereo_scenes import CAMERA, Board, box_boards, facing, render
 from typer.testing import CliRunner
 
 from rgslam.cli import app
@@ -47,7 +47,7 @@ def test_command_writes_json_and_overlay(pair: Path, tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
     code, text = run(pair, "--out", str(out))
     assert code == 0
-    assert "1 rectangles written" in text
+    assert "1 rectangle, 0 cuboids written" in text
     assert sorted(p.name for p in out.iterdir()) == ["overlay.png", "rectangles.json"]
     content = json.loads((out / "rectangles.json").read_text())
     (found,) = content["rectangles"]
@@ -58,6 +58,24 @@ def test_command_writes_json_and_overlay(pair: Path, tmp_path: Path) -> None:
     assert np.linalg.norm(found["pose"]["quaternion_xyzw"]) == pytest.approx(1.0)
     overlay = cv2.imread(str(out / "overlay.png"))
     assert overlay is not None
+
+
+def test_cuboid_is_written_and_said(tmp_path: Path) -> None:
+    size = np.array([0.7, 0.5, 0.4])
+    boards = box_boards(facing(35.0, 25.0), np.array([0.0, 0.1, 2.0]), size, (220.0, 150.0, 40.0))
+    for name, image in zip(("left", "right"), render(boards), strict=True):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+    (tmp_path / "calib.txt").write_text(CALIBRATION)
+    code, text = run(tmp_path, "--out", str(tmp_path / "out"))
+    assert code == 0
+    assert ", 1 cuboid written" in text
+    assert "cuboid 0: " in text
+    (cuboid,) = json.loads((tmp_path / "out" / "rectangles.json").read_text())["cuboids"]
+    sigma = np.array(cuboid["size_sigma"])
+    assert (sigma < 0.02).all()
+    assert (np.abs(np.sort(cuboid["size"]) - np.sort(size)) < 4 * sigma.max()).all()
+    assert len(cuboid["faces"]) >= 2
+    assert np.shape(cuboid["covariance"]) == (9, 9)
 
 
 def test_second_run_writes_the_same_bytes(pair: Path, tmp_path: Path) -> None:

@@ -35,6 +35,8 @@ _KEPT = 0.999  # share of true faces that the gate keeps
 _SURPRISE = 0.99  # chi-square of the fit above which the stated errors are too small
 _MAX_ROUNDS = 10  # of assigning and fitting; more is a limit cycle between two equals
 
+SIDE_NAMES = ("+x", "-x", "+y", "-y", "+z", "-z")
+
 
 @dataclass(frozen=True, eq=False)
 class RectangleView:
@@ -52,7 +54,7 @@ class FaceSight:
 
     view: int  # index of the view
     rectangle: int  # index of the rectangle in the view
-    side: int  # 0 .. 5: +x, -x, +y, -y, +z, -z in the cuboid's frame
+    side: int  # index into SIDE_NAMES, in the cuboid's frame
 
 
 @dataclass(frozen=True, eq=False)

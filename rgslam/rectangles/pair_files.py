@@ -18,12 +18,19 @@ from scipy.spatial.transform import Rotation
 
 from rgslam.config import Config
 from rgslam.errors import MapError, RecordingError
+from rgslam.rectangles.cuboid_fusion import (
+    SIDE_NAMES,
+    FittedCuboid,
+    RectangleView,
+    fuse_cuboids,
+)
 from rgslam.rectangles.detection import DetectedRectangle, Detection, detect_rectangles
 from rgslam.rectangles.overlay import draw_overlay
 from rgslam.stereo.calibration import StereoCalibration, read_calibration
 from rgslam.stereo.rectification import rectification_maps, rectify_pair
 
 JSON_NAME, OVERLAY_NAME = "rectangles.json", "overlay.png"
+_UP = (0.0, -1.0, 0.0)  # in c, of a camera that is held upright
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +40,7 @@ class PairResult:
     detection: Detection
     calibration: StereoCalibration
     left: npt.NDArray[np.uint8]  # (height, width), rectified
+    cuboids: tuple[FittedCuboid, ...]  # in c
 
 
 def detect_in_files(
@@ -42,7 +50,7 @@ def detect_in_files(
     unit_m: float | None = None,
     config: Config | None = None,
 ) -> PairResult:
-    """Read a stereo pair, rectify it, find its rectangles.
+    """Read a stereo pair, rectify it, find its rectangles and the cuboids they make.
 
     Args:
         left: Image file of the left camera.
@@ -59,7 +67,9 @@ def detect_in_files(
     maps = rectification_maps(known)
     images = rectify_pair(_read_grey(Path(left)), _read_grey(Path(right)), maps)
     found = detect_rectangles(*images, known.camera, config, maps.valid)
-    return PairResult(found, known, images[0])
+    view = RectangleView(found.rectangles, known.camera)
+    cuboids = fuse_cuboids([view], config, up=_UP)
+    return PairResult(found, known, images[0], cuboids)
 
 
 def _read_grey(path: Path) -> npt.NDArray[np.uint8]:
@@ -83,6 +93,7 @@ def rectangles_json(result: PairResult) -> dict[str, Any]:
         "recorded_to_rectified": result.calibration.left.rotation.tolist(),
         "calibration": result.calibration.source,
         "rectangles": [_entry(i, r) for i, r in enumerate(result.detection.rectangles)],
+        "cuboids": [_cuboid_entry(i, c) for i, c in enumerate(result.cuboids)],
         "lines": result.detection.line_count,
         "rejected": {why.name.lower(): n for why, n in _counts(result.detection)},
     }
@@ -112,13 +123,31 @@ def _entry(index: int, rectangle: DetectedRectangle) -> dict[str, Any]:
     }
 
 
+def _cuboid_entry(index: int, cuboid: FittedCuboid) -> dict[str, Any]:
+    return {
+        "id": index,
+        "pose": {
+            "position": cuboid.centre.tolist(),
+            "quaternion_xyzw": Rotation.from_matrix(cuboid.rotation).as_quat().tolist(),
+        },
+        "size": cuboid.size.tolist(),
+        "size_sigma": cuboid.size_sigma.tolist(),
+        "corners": cuboid.corners.tolist(),
+        "covariance": cuboid.covariance.tolist(),
+        "faces": [{"rectangle": f.rectangle, "side": SIDE_NAMES[f.side]} for f in cuboid.faces],
+        "chi_square": cuboid.cost,
+    }
+
+
 def write_pair_result(result: PairResult, folder: Path | str) -> tuple[Path, Path]:
     """Write `rectangles.json` and `overlay.png`; each appears whole or not at all.
 
     Raises:
         MapError: the machine refuses (full disk, no rights, a file in the way).
     """
-    overlay = draw_overlay(result.left, result.detection.rectangles, result.calibration.camera)
+    overlay = draw_overlay(
+        result.left, result.detection.rectangles, result.calibration.camera, result.cuboids
+    )
     text = json.dumps(rectangles_json(result), indent=1) + "\n"
     contents = {
         JSON_NAME: text.encode(),
