@@ -98,6 +98,31 @@ def _options(
 
 
 Out = Annotated[Path, typer.Option("--out", help="Folder to write; replaced if it is a map.")]
+RecordingPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RECORDING",
+        help="Recorded run: a CARMEN log (.gz, .bz2), a ROS 1 bag, a ROS 2 bag (folder or file).",
+    ),
+]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="ROLE=NAME",
+        help="Topic of a bag where several fit: scan, odom, left, right, left_info, right_info.",
+    ),
+]
+
+
+def _topics(choices: list[str] | None) -> dict[str, str]:
+    chosen: dict[str, str] = {}
+    for choice in choices or []:
+        role, is_assigned, name = choice.partition("=")
+        if not is_assigned or not name:
+            raise typer.BadParameter(f"{choice!r} is not ROLE=NAME", param_hint="--topic")
+        chosen[role] = name
+    return chosen
 
 
 @app.command()
@@ -122,13 +147,12 @@ def demo(out: Out = Path("out/demo")) -> None:
 @app.command("map")
 @_stoppable
 def map_recording(
-    recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Recorded run: a CARMEN log, .gz, .bz2.")
-    ],
+    recording: RecordingPath,
     out: Out,
     config: Annotated[
         Path | None, typer.Option("--config", help="YAML file; what it leaves out is default.")
     ] = None,
+    topic: Topics = None,
 ) -> None:
     """Turn a recorded run into a region & gateway map.
 
@@ -137,13 +161,14 @@ def map_recording(
     \b
     Example:
       rgslam map intel.clf.bz2 --out out/intel
+      rgslam map run.mcap --out out/run --topic scan=/front/scan
     """
     from rgslam.config import Config
     from rgslam.loaders import open_recording
 
     # What is wrong with the input is said before the heavy libraries are loaded.
     settings = Config() if config is None else Config.from_yaml(config)
-    run = open_recording(recording)
+    run = open_recording(recording, _topics(topic))
 
     from rgslam.cli_output import StageProgress, print_map_summary
     from rgslam.interrupt import StopOnInterrupt
@@ -289,11 +314,7 @@ def evaluate(
 
 @app.command()
 @_stoppable
-def check(
-    recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Recorded run: a CARMEN log, .gz, .bz2.")
-    ],
-) -> None:
+def check(recording: RecordingPath, topic: Topics = None) -> None:
     """Say what is in a recording and what is wrong.
 
     One finding per line. The exit code is 0 when the recording can be mapped, warnings or not, and
@@ -306,13 +327,45 @@ def check(
     from rgslam.recording_check import check_recording
     from rgslam.types import Severity
 
-    findings = check_recording(recording)
+    findings = check_recording(recording, topics=_topics(topic))
     for finding in findings:
         broken = finding.severity is Severity.ERROR
         text = " ".join(finding.text.split())
         typer.echo(f"{finding.severity.value}: {text}", err=broken)
     if any(finding.severity is Severity.ERROR for finding in findings):
         raise typer.Exit(1)
+
+
+@app.command()
+@_stoppable
+def convert(
+    recording: RecordingPath,
+    out: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="CARMEN log (.clf, .log), or ROS 2 bag: a folder, or a .mcap file."
+        ),
+    ],
+    topic: Topics = None,
+) -> None:
+    """Write a recorded run as a CARMEN log or as a ROS 2 bag.
+
+    A CARMEN log holds no images. A file or bag that is there already is replaced.
+
+    \b
+    Example:
+      rgslam convert intel.clf.bz2 intel.mcap
+    """
+    from rgslam.cli_output import StageProgress
+    from rgslam.export_recording import convert_recording
+    from rgslam.loaders import open_recording
+
+    run = open_recording(recording, _topics(topic))
+    with StageProgress() as progress:
+        convert_recording(run, out, progress.update)
+    for warning in run.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    typer.echo(f"written to {out}")
 
 
 @datasets_app.command("list")

@@ -166,7 +166,8 @@ class _Bag:
             time_increment=beam,
             scan_time=beam * len(ranges),
             range_min=0.0,
-            range_max=float(scan.max_range),
+            # Readers take a range at the maximum for none, but here it is the last that is one
+            range_max=float(np.nextafter(np.float32(scan.max_range), np.float32(np.inf))),
             ranges=np.asarray(ranges, np.float32),
             intensities=np.zeros(0, np.float32),
         )

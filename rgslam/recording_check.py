@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from rgslam.camera import StereoCamera
 from rgslam.errors import RecordingError
 from rgslam.geometry import wrap_angle
 from rgslam.loaders import ReadProgress, Recording, open_recording
@@ -38,6 +40,9 @@ class _Tally:
     beams: int = 0
     no_return: int = 0
     odometry_messages: int = 0
+    pairs: list[float] = field(default_factory=list)  # stamps of the stereo pairs
+    camera: StereoCamera | None = None
+    bTc: FloatArray | None = None
 
     def add(self, scan: LaserScan) -> None:
         n = len(scan.angles)
@@ -50,13 +55,22 @@ class _Tally:
         self.no_return += int(np.count_nonzero(np.isinf(scan.ranges)))
 
 
-def check_recording(path: Path | str, progress: ReadProgress | None = None) -> list[Finding]:
+def check_recording(
+    path: Path | str,
+    progress: ReadProgress | None = None,
+    topics: Mapping[str, str] | None = None,
+) -> list[Finding]:
     """Everything worth knowing about a recording, one finding per line.
 
     A recording that cannot be mapped ends in a finding of severity ERROR instead of an exception.
+
+    Args:
+        path: see `rgslam.open_recording`.
+        progress: called with the share that is read.
+        topics: of a bag, the topic of a role where several fit.
     """
     try:
-        recording = open_recording(path)
+        recording = open_recording(path, topics)
         tally = _read(recording, progress)
     except RecordingError as error:
         return [Finding(Severity.ERROR, str(error))]
@@ -64,7 +78,13 @@ def check_recording(path: Path | str, progress: ReadProgress | None = None) -> l
     if not tally.stamps:
         text = f"{path}: no laser scan could be read"
         return [*findings, *_warnings(recording), Finding(Severity.ERROR, text)]
-    return [*findings, *_motion(tally), *_times(tally), *_warnings(recording)]
+    return [
+        *findings,
+        *_motion(tally),
+        *_times(tally),
+        *_stereo(tally),
+        *_warnings(recording),
+    ]
 
 
 def _read(recording: Recording, progress: ReadProgress | None) -> _Tally:
@@ -74,6 +94,9 @@ def _read(recording: Recording, progress: ReadProgress | None) -> _Tally:
             tally.add(message)
         elif isinstance(message, Odometry):
             tally.odometry_messages += 1
+        else:
+            tally.pairs.append(message.stamp)
+            tally.camera, tally.bTc = message.camera, message.bTc
     return tally
 
 
@@ -143,6 +166,24 @@ def _laser(recording: Recording, tally: _Tally) -> list[Finding]:
         )
     )
     return findings
+
+
+def _stereo(tally: _Tally) -> list[Finding]:
+    if tally.camera is None or tally.bTc is None:
+        return []
+    camera, (x, y, z) = tally.camera, tally.bTc[:3, 3]
+    ahead = tally.bTc[:3, 2]  # the viewing direction
+    return [
+        _info(
+            f"{len(tally.pairs)} stereo pairs, {camera.width} x {camera.height} px rectified, "
+            f"focal length {camera.fx:.1f} px, baseline {100.0 * camera.baseline:.1f} cm"
+        ),
+        _info(
+            f"camera on the robot at x {x:.3f} m, y {y:.3f} m, z {z:.3f} m, looking "
+            f"{math.degrees(math.atan2(ahead[1], ahead[0])):.1f} deg to the left and "
+            f"{math.degrees(math.asin(float(np.clip(ahead[2], -1.0, 1.0)))):.1f} deg up"
+        ),
+    ]
 
 
 def _motion(tally: _Tally) -> list[Finding]:

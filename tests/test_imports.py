@@ -25,6 +25,7 @@ READERS = {
     "export",
     "export_carmen",
     "export_bag",
+    "export_recording",
     "metrics",
     "drawing",
 }

@@ -221,10 +221,10 @@ def test_what_cannot_be_mapped_is_one_line_that_names_the_file(
 def test_missing_and_folder_and_unknown_format(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"gone\.log: No such file"):
         open_recording(tmp_path / "gone.log")
-    with pytest.raises(RecordingError, match="Is a directory"):
+    with pytest.raises(RecordingError, match="a folder without metadata"):
         open_recording(tmp_path)
     (tmp_path / "run.txt").write_text("some text\n")
-    with pytest.raises(RecordingError, match=r"no known format; known are: CARMEN log \(\.log"):
+    with pytest.raises(RecordingError, match=r"no known format; known are: .*CARMEN log \(\.log"):
         open_recording(tmp_path / "run.txt")
 
 

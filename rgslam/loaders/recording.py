@@ -32,7 +32,8 @@ class LaserFacts:
 class Problems:
     """Faults met while reading: one line per kind, however often it happens."""
 
-    def __init__(self) -> None:
+    def __init__(self, unit: str = "line") -> None:
+        self._unit = unit  # what records are called
         self._counts: dict[str, int] = {}
         self._records: dict[str, list[int]] = {}
 
@@ -46,15 +47,15 @@ class Problems:
     def lines(self) -> list[str]:
         """One line per kind, in the order in which they first came."""
         return [
-            kind.format(count=count, where=_where(self._records[kind]))
+            kind.format(count=count, where=_where(self._records[kind], self._unit))
             for kind, count in self._counts.items()
         ]
 
 
-def _where(records: list[int]) -> str:
+def _where(records: list[int], unit: str) -> str:
     named = ", ".join(str(record) for record in records[:_NAMED_RECORDS])
     more = ", ..." if len(records) > _NAMED_RECORDS else ""
-    return f"line{'s' if len(records) > 1 else ''} {named}{more}"
+    return f"{unit}{'s' if len(records) > 1 else ''} {named}{more}"
 
 
 class Recording(ABC):

@@ -150,7 +150,7 @@ def _from_opencv(files: list[Path], unit_m: float | None) -> StereoCalibration:
         )
         turns, projections = [found[0], found[1]], [found[2], found[3]]
     lenses = [Lens(k, d, r) for k, d, r in zip(matrices, distortions, turns, strict=True)]
-    return _rectified(name, lenses, projections, shape, scale)
+    return rectified_calibration(name, lenses, projections, shape, scale)
 
 
 def _file_storage(path: Path) -> dict[str, FloatArray]:
@@ -206,7 +206,7 @@ def _from_camera_info(
         raise CalibrationError(f"{files[1]}: size {shapes[1]} differs from {shapes[0]} (left)")
     name = " + ".join(str(file) for file in files)
     scale = 1.0 if unit_m is None else unit_m
-    return _rectified(name, lenses, projections, (shapes[0][0], shapes[0][1]), scale)
+    return rectified_calibration(name, lenses, projections, (shapes[0][0], shapes[0][1]), scale)
 
 
 def _with_right_file(file: Path, text: str) -> tuple[list[Path], list[str]]:
@@ -261,7 +261,7 @@ def _from_calib_txt(path: Path, text: str, unit_m: float | None) -> StereoCalibr
     projections = [np.c_[matrix, np.zeros(3)] for matrix in matrices]
     projections[1][0, 3] = -matrices[1][0, 0] * baseline
     scale = 1e-3 if unit_m is None else unit_m
-    return _rectified(str(path), lenses, projections, (shape[0], shape[1]), scale)
+    return rectified_calibration(str(path), lenses, projections, (shape[0], shape[1]), scale)
 
 
 # --- All ------------------------------------------------------------------------------------------
@@ -282,14 +282,25 @@ def _numbers(
     raise CalibrationError(f"{name}: missing key {' or '.join(keys)}")
 
 
-def _rectified(
+def rectified_calibration(
     name: str,
     lenses: list[Lens],
     projections: list[FloatArray],
     size: tuple[int, int],
     scale: float,
 ) -> StereoCalibration:
-    """One camera for both images: that of the left; the right image is shifted onto its centre."""
+    """One camera for both images: that of the left; the right image is shifted onto its centre.
+
+    Args:
+        name: how messages name the calibration.
+        lenses: left and right camera.
+        projections: their matrices (3, 4) after rectification, `P` of ROS and OpenCV.
+        size: px, width and height of the images as recorded.
+        scale: metres per unit of the projections.
+
+    Raises:
+        CalibrationError: baseline 0, or values that are no camera.
+    """
     for side, lens in zip(("left", "right"), lenses, strict=True):
         if lens.matrix[0, 0] <= 0 or lens.matrix[1, 1] <= 0:
             raise CalibrationError(f"{name}: {side} camera matrix without a positive focal length")
