@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from rgslam.scan_matching import (
     correlate,
     gate_schedule,
     register,
+    solve,
     thinned,
 )
 from rgslam.types import FloatArray
@@ -28,6 +30,8 @@ from rgslam.types import FloatArray
 _FIRST_SIGMA, _LEAST_SIGMA = 0.02, 0.005
 #: Matches that the noise is learnt from.
 _NOISE_MATCHES = 200
+#: Share of the newest matches that fit worse than is usual here.
+_UNUSUAL = 0.1
 #: The robust weights fade at 3 sigma and hide the tails: what they leave over is less than sigma.
 _RESIDUAL_TO_SIGMA = 1.5
 
@@ -72,13 +76,21 @@ class LocalMap:
         self._config = config
         self._surfels: SurfelMap | None = None
         self._residuals: deque[float] = deque(maxlen=_NOISE_MATCHES)
+        self._inliers: deque[float] = deque(maxlen=_NOISE_MATCHES)
+        self._usual_inliers = 1.0  # what scans have here; nothing is usual yet
+        self._reach = 4.0 * config.resolution  # m, first gate: registration finds no farther
+        self._lever = 0.0  # m, distance of most surfaces around here
+        self._gates = gate_schedule(self._reach, _FIRST_SIGMA)
         self.sigma = _FIRST_SIGMA  # m, of a point across its line, as the matches show it
 
     def rebuild(self, poses: FloatArray) -> None:
         """Take the newest keyframes at these poses (K, 3), after a new one or an optimisation."""
+        self._learn_noise()
         first = max(0, len(poses) - self._config.local_keyframes)
         recent = self._store.in_world(np.arange(first, len(poses)), poses[first:])
         self._surfels = build_surfel_map(*recent, self._config.resolution)
+        offsets = np.abs(self._surfels.surfels.points - poses[-1, :2])
+        self._lever = float(np.median(offsets.max(axis=1)))
 
     def match(
         self, scan: ScanPoints, start: FloatArray, odometry: Motion, habit: Motion
@@ -105,19 +117,38 @@ class LocalMap:
             best = other if other.inliers > best.inliers + _CLEARLY_BETTER else best
         if best.inliers < self._config.min_inliers:
             return LocalMatch(prediction, np.zeros((3, 3)), best.inliers, False, 1.0)
-        self._learn_noise(best.residual)
+        self._residuals.append(best.residual)
+        self._inliers.append(best.inliers)
         doubt = _doubt(between(prediction, best.wTb), odometry.covariance)
         return LocalMatch(best.wTb, best.information, best.inliers, True, doubt)
 
     def _align(self, scan: ScanPoints, start: FloatArray, motion: Motion) -> Registration:
-        """Basin by correlation, then least squares."""
+        """Least squares from the prediction, or from the basin that correlation finds.
+
+        The search is left out where every likely error of the prediction lies within reach of the
+        registration, and the scan then fits as scans do here.
+        """
         prediction = compose(start, motion.bTc)
+        if self._within_reach(motion):
+            direct = self._register(scan, prediction, prediction, motion.covariance)
+            if direct.inliers >= self._usual_inliers:
+                return direct
         coarse = self._correlate(scan, prediction, motion)
         doubt = _doubt(between(prediction, coarse), motion.covariance)
+        return self._register(scan, coarse, prediction, motion.covariance * doubt)
+
+    def _within_reach(self, motion: Motion) -> bool:
+        """Whether 3 sigma of the prediction move most of what is seen by less than the gate."""
+        variance = motion.covariance
+        moved = variance[0, 0] + variance[1, 1] + self._lever**2 * variance[2, 2]
+        return bool(9.0 * moved < self._reach**2)
+
+    def _register(
+        self, scan: ScanPoints, guess: FloatArray, prediction: FloatArray, covariance: FloatArray
+    ) -> Registration:
         return register(
-            *scan.oriented, coarse, self._known(), self.sigma,
-            gate_schedule(4.0 * self._config.resolution, self.sigma),
-            prediction, np.asarray(np.linalg.inv(motion.covariance * doubt), np.float64),
+            scan, guess, self._known(), self.sigma, self._gates,
+            prediction, np.asarray(np.linalg.inv(covariance), np.float64),
         )  # fmt: skip
 
     def _correlate(self, scan: ScanPoints, prediction: FloatArray, motion: Motion) -> FloatArray:
@@ -145,16 +176,17 @@ class LocalMap:
             raise RuntimeError("match() before the first rebuild()")
         return self._surfels
 
-    def _learn_noise(self, residual: float) -> None:
+    def _learn_noise(self) -> None:
         """The noise of the scanner and of the walls is what good matches leave over."""
-        self._residuals.append(residual)
         if len(self._residuals) >= _NOISE_MATCHES // 4:
-            self.sigma = max(_RESIDUAL_TO_SIGMA * float(np.median(self._residuals)), _LEAST_SIGMA)
+            self.sigma = max(_RESIDUAL_TO_SIGMA * median(self._residuals), _LEAST_SIGMA)
+            self._gates = gate_schedule(self._reach, self.sigma)
+            self._usual_inliers = sorted(self._inliers)[int(_UNUSUAL * len(self._inliers))]
 
 
 def _doubt(error: FloatArray, covariance: FloatArray) -> float:
     """Factor by which a covariance must grow so that an error is a plausible one; at least 1."""
-    return max(1.0, float(error @ np.linalg.solve(covariance, error)) / _PLAUSIBLE_SIGMAS**2)
+    return max(1.0, float(error @ solve(covariance, error)) / _PLAUSIBLE_SIGMAS**2)
 
 
 def is_keyframe(lTb: FloatArray, config: ScanMatchingConfig) -> bool:

@@ -160,7 +160,7 @@ def propose_loop(
     )
     # Refine the newest scan among the old ones, all in the frame of the anchor
     fine = register(
-        *view.store.scan(new).oriented, match.wTb, old, view.sigma,
+        view.store.scan(new), match.wTb, old, view.sigma,
         gate_schedule(4.0 * config.resolution, view.sigma),
     )  # fmt: skip
     verdict = agreement(points, fine.wTb, view.store, chunk, chunk_poses, config.tolerance)

@@ -9,7 +9,7 @@ with a covariance that comes from the match itself.
 
 from rgslam.scan_matching.agreement import Agreement, agreement
 from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
-from rgslam.scan_matching.registration import Registration, gate_schedule, register
+from rgslam.scan_matching.registration import Registration, gate_schedule, register, solve
 from rgslam.scan_matching.scan_points import (
     EDGE,
     INVALID,
@@ -21,7 +21,7 @@ from rgslam.scan_matching.scan_points import (
     scan_points,
     thinned,
 )
-from rgslam.scan_matching.surfel_map import SurfelMap, build_surfel_map
+from rgslam.scan_matching.surfel_map import SurfelMap, Surfels, build_surfel_map
 
 __all__ = [
     "EDGE",
@@ -35,11 +35,13 @@ __all__ = [
     "ScanPoints",
     "ScanStore",
     "SurfelMap",
+    "Surfels",
     "agreement",
     "build_surfel_map",
     "correlate",
     "gate_schedule",
     "register",
     "scan_points",
+    "solve",
     "thinned",
 ]

@@ -18,7 +18,7 @@ from rgslam.scan_matching.scan_points import ScanStore
 from rgslam.types import FloatArray, IntArray
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _agreement(
     pose: FloatArray,
     points: FloatArray,

@@ -28,7 +28,7 @@ class CorrelativeMatch:
     rival_score: float  # best score elsewhere, 0 when there is none worth naming
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _score_block(
     level: npt.NDArray[np.uint8],
     cells: npt.NDArray[np.int32],
@@ -44,7 +44,7 @@ def _score_block(
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _turned_cells(
     points: FloatArray,
     centre: FloatArray,
@@ -65,7 +65,7 @@ def _turned_cells(
     return cells
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _bounds(
     level: npt.NDArray[np.uint8],
     cells: npt.NDArray[np.int32],
@@ -90,7 +90,7 @@ def _bounds(
     return bounds
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _descend(
     level1: npt.NDArray[np.uint8],
     level2: npt.NDArray[np.uint8],
@@ -142,7 +142,7 @@ def _descend(
     return best, best_t, best_r, best_c
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _off_centre(row: int, col: int, size: int) -> float:
     """Smallest squared distance (cells) from the centre to a block of shifts."""
     r = 0 if row <= 0 < row + size else min(abs(row), abs(row + size - 1))
@@ -151,7 +151,7 @@ def _off_centre(row: int, col: int, size: int) -> float:
 
 
 def correlate(
-    surfels: SurfelMap,
+    known: SurfelMap,
     b_points: FloatArray,
     centre: FloatArray,
     half_width: float,
@@ -163,7 +163,7 @@ def correlate(
     """Best pose of a scan (or patch) in a window of the map.
 
     Args:
-        surfels: what has been seen, in w.
+        known: what has been seen, in w.
         b_points: (n, 2), points to place.
         centre: (3,), wTb in the middle of the window.
         half_width: m, half side of the square window.
@@ -179,14 +179,15 @@ def correlate(
         The winner on the lattice.
     """
     n = 255.0 * len(b_points)
-    ranges = np.sort(np.hypot(b_points[:, 0], b_points[:, 1]))
+    ranges = np.partition(np.hypot(b_points[:, 0], b_points[:, 1]), int(0.8 * len(b_points)))
     # One turn moves most points by a cell at most
-    turn = surfels.resolution / max(float(ranges[int(0.8 * len(ranges))]), 1.0)
-    half_cells = max(int(np.ceil(half_width / surfels.resolution)), 1)
+    resolution = known.surfels.resolution
+    turn = resolution / max(float(ranges[int(0.8 * len(ranges))]), 1.0)
+    half_cells = max(int(np.ceil(half_width / resolution)), 1)
     half_turns = max(int(np.ceil(half_angle / turn)), 1)
-    search = _search(surfels, b_points, centre, half_cells, half_turns, turn, prior_weight)
+    search = _search(known, b_points, centre, half_cells, half_turns, turn, prior_weight)
     value, t, row, col = search(min_score * n - 1.0, (-1.0, -1.0, 0.0, 0.0, 0.0))
-    shift = np.array([col, row]) * surfels.resolution
+    shift = np.array([col, row]) * resolution
     pose = np.array(
         [centre[0] + shift[0], centre[1] + shift[1], centre[2] + (t - half_turns) * turn]
     )
@@ -194,7 +195,7 @@ def correlate(
     score = max(value / n, 0.0)
     rival_score = 0.0
     if rival is not None and score >= min_score:
-        cells = rival[0] / surfels.resolution
+        cells = rival[0] / resolution
         floor = rival[1] * value
         found = search(floor, (cells, cells, float(row), float(col), float(t)))[0]
         rival_score = found / n if found > floor else 0.0
@@ -202,7 +203,7 @@ def correlate(
 
 
 def _search(
-    surfels: SurfelMap,
+    known: SurfelMap,
     points: FloatArray,
     centre: FloatArray,
     half_cells: int,
@@ -214,15 +215,15 @@ def _search(
 
     Blocks are bounded once and visited in falling order of their bounds.
     """
-    coarse, middle, fine = surfels.levels
     block = BLOCKS[0] if half_cells > 12 else BLOCKS[1]  # a few cells need no coarse level
     penalty = np.array(prior_weight) * 255.0
     cells = _turned_cells(
         np.ascontiguousarray(points), np.asarray(centre, float), half_turns, turn,
-        surfels.resolution, surfels.origin,
+        known.surfels.resolution, known.surfels.origin,
     )  # fmt: skip
-    lattice = (half_cells, block, turn, surfels.resolution, penalty)
-    bounds = _bounds(coarse if block == BLOCKS[0] else middle, cells, *lattice)
+    lattice = (half_cells, block, turn, known.surfels.resolution, penalty)
+    middle, fine = known.middle, known.fine
+    bounds = _bounds(known.coarse if block == BLOCKS[0] else middle, cells, *lattice)
     order = np.argsort(-bounds, kind="stable")
     return lambda floor, exclude: _descend(
         middle, fine, cells, bounds, order, *lattice, floor, np.array(exclude)

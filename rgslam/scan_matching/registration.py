@@ -9,12 +9,14 @@ noisy normals only pretend to know is taken off (errors in variables).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rgslam.scan_matching.surfel_map import SurfelMap
+from rgslam.scan_matching.scan_points import EDGE, SURFACE, ScanPoints
+from rgslam.scan_matching.surfel_map import SurfelMap, Surfels
 from rgslam.types import FloatArray
 
 
@@ -23,10 +25,19 @@ class Registration:
     """A scan aligned with a surfel map."""
 
     wTb: FloatArray  # (3,)
-    information: FloatArray  # (3, 3), of the match alone, in the tangent space at wTb: x, y, theta
+    raw_information: FloatArray  # (3, 3), less what noisy normals pretend: may be indefinite
     inliers: float  # share of the surface points that found a partner, 0..1
-    residual: float  # m, robust RMS distance to the lines
-    converged: bool
+    residual: float  # m, robust RMS distance to the lines; inf = too few partners
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """(3, 3), of the match alone, in the tangent space at wTb: x, y, theta.
+
+        Where the noise of the normals exceeds what an axis is known by, as along a bare hallway,
+        the axis is not known at all.
+        """
+        values, vectors = np.linalg.eigh(self.raw_information)
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, np.float64)
 
 
 def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArray:
@@ -35,11 +46,14 @@ def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArra
     return np.maximum(end, max(start, end) * 0.6 ** np.arange(iterations))
 
 
+#: Keeps the system solvable along a featureless hallway: 10 m and 10 rad of vague knowledge.
+_VAGUE = np.diag([1e-2, 1e-2, 1e-2])
+
+
 def register(
-    b_points: FloatArray,
-    b_normals: FloatArray,
+    scan: ScanPoints,
     guess: FloatArray,
-    surfels: SurfelMap,
+    known: SurfelMap,
     sigma: float,
     gates: FloatArray,
     prior_mean: FloatArray | None = None,
@@ -48,10 +62,9 @@ def register(
     """Align a scan with a surfel map: surfaces point to line, edges point to point.
 
     Args:
-        b_points: (n, 2), points of the scan.
-        b_normals: (n, 2), their normals; 0 on edges.
+        scan: its points.
         guess: (3,), wTb to start from.
-        surfels: the map, in w.
+        known: the map, in w.
         sigma: m, standard deviation of a point across its line.
         gates: (k,), m, association gate of each iteration.
         prior_mean: (3,), wTb that odometry predicts, or None for the guess.
@@ -60,35 +73,23 @@ def register(
     Returns:
         The aligned pose with the information of the match without the prior.
     """
-    prior = np.zeros((3, 3)) if prior_information is None else prior_information
-    # Keeps the system solvable along a featureless hallway: 10 m and 10 rad of vague knowledge
-    prior = prior + np.diag([1e-2, 1e-2, 1e-2])
-    mean = guess if prior_mean is None else prior_mean
-    pose, information, matched, rms, converged = _register(
-        np.asarray(guess, float), b_points, b_normals, surfels.points, surfels.normals,
-        surfels.normal_variances, surfels.is_edge, surfels.nearest, surfels.resolution,
-        surfels.origin, sigma, gates, np.asarray(mean, float), prior,
-    )  # fmt: skip
-    # The noise of the normals was taken off, so that a bare hallway stays open along its axis;
-    # where it exceeds what an axis is known by, the axis is not known at all
-    values, vectors = np.linalg.eigh(information)
-    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    surface = np.count_nonzero(b_normals.any(axis=1))
-    return Registration(pose, information, matched / max(surface, 1), rms, converged)
+    prior = _VAGUE if prior_information is None else prior_information + _VAGUE
+    guess = np.asarray(guess, float)
+    mean = guess if prior_mean is None else np.asarray(prior_mean, float)
+    return Registration(
+        *_register(
+            guess, scan.points, scan.normals, scan.classes, known.surfels, sigma, gates, mean, prior
+        )
+    )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _normal_equations(
     pose: FloatArray,
     points: FloatArray,
     normals: FloatArray,
-    map_points: FloatArray,
-    map_normals: FloatArray,
-    map_variances: FloatArray,
-    map_edges: npt.NDArray[np.bool_],
-    nearest: npt.NDArray[np.int32],
-    resolution: float,
-    origin: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    surfels: Surfels,
     sigma: float,
     gate: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int, float, float]:
@@ -98,10 +99,16 @@ def _normal_equations(
     variance adds to H on average.
     """
     H, b, noise = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
+    map_points, map_normals, map_variances = (
+        surfels.points, surfels.normals, surfels.normal_variances
+    )  # fmt: skip
+    nearest, resolution, origin = surfels.nearest, surfels.resolution, surfels.origin
     rows, cols = nearest.shape
     c, s = np.cos(pose[2]), np.sin(pose[2])
     matched, weights, squares = 0, 0.0, 0.0
     for i in range(len(points)):
+        if classes[i] < SURFACE:
+            continue
         px, py = points[i, 0], points[i, 1]
         qx, qy = pose[0] + c * px - s * py, pose[1] + s * px + c * py
         col = int(np.floor((qx - origin[0]) / resolution))
@@ -116,8 +123,8 @@ def _normal_equations(
         d2 = ex * ex + ey * ey
         if d2 > gate * gate:
             continue
-        if normals[i, 0] == 0.0 and normals[i, 1] == 0.0:
-            if not map_edges[k]:
+        if classes[i] == EDGE:
+            if not surfels.is_edge[k]:
                 continue
             # An edge holds a point in both directions, where a hallway's walls do not; it is known
             # to about a cell, as beams pass it left and right
@@ -167,8 +174,8 @@ def _normal_equations(
     return H, noise, b, matched, weights, squares
 
 
-@njit(cache=True)
-def _solve(A: FloatArray, b: FloatArray) -> FloatArray:
+@njit(cache=True, nogil=True)
+def solve(A: FloatArray, b: FloatArray) -> FloatArray:
     """Solution (3,) of A x = b for a positive definite A (3, 3), by its adjugate.
 
     Written out, as Numba takes ten seconds to compile `np.linalg.solve`.
@@ -189,31 +196,26 @@ def _solve(A: FloatArray, b: FloatArray) -> FloatArray:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _register(
     guess: FloatArray,
     points: FloatArray,
     normals: FloatArray,
-    map_points: FloatArray,
-    map_normals: FloatArray,
-    map_variances: FloatArray,
-    map_edges: npt.NDArray[np.bool_],
-    nearest: npt.NDArray[np.int32],
-    resolution: float,
-    origin: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    surfels: Surfels,
     sigma: float,
     gates: FloatArray,
     prior_mean: FloatArray,
     prior: FloatArray,
-) -> tuple[FloatArray, FloatArray, int, float, bool]:
+) -> tuple[FloatArray, FloatArray, float, float]:
+    """Pose, information, share of surface points with a partner, residual."""
     pose = guess.copy()
     information = np.zeros((3, 3))
-    matched, rms, converged = 0, np.inf, False
-    for iteration in range(len(gates)):
+    matched, rms = 0, np.inf
+    for gate in gates:
         H, noise, b, matched, weights, squares = _normal_equations(
-            pose, points, normals, map_points, map_normals, map_variances, map_edges, nearest,
-            resolution, origin, sigma, gates[iteration],
-        )  # fmt: skip
+            pose, points, normals, classes, surfels, sigma, gate
+        )
         information = (H - noise) / (sigma * sigma)
         if matched < 3:
             rms = np.inf
@@ -228,13 +230,15 @@ def _register(
         for k in range(3):
             for m in range(3):
                 gradient[k] += prior[k, m] * off[m]
-        step = _solve(H / (sigma * sigma) + prior, -gradient)
+        step = solve(H / (sigma * sigma) + prior, -gradient)
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
         pose[2] += step[2]
         small = abs(step[0]) + abs(step[1]) < 1e-3 and abs(step[2]) < 5e-4
-        if small and gates[iteration] <= gates[-1]:
-            converged = True
+        if small and gate <= gates[-1]:
             break
     pose[2] = (pose[2] + np.pi) % (2.0 * np.pi) - np.pi
-    return pose, information, matched, rms, converged
+    surface = 0
+    for kind in classes:
+        surface += kind == SURFACE
+    return pose, information, matched / max(surface, 1), rms

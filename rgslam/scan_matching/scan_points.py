@@ -32,7 +32,12 @@ class LaserGeometry:
     beams: int
     bTl: FloatArray  # (3,), laser on the robot
 
-    @property
+    @cached_property
+    def angles(self) -> FloatArray:
+        """Of all beams, (n,), rad, laser frame."""
+        return self.angle_min + self.angle_step * np.arange(self.beams)
+
+    @cached_property
     def full_circle(self) -> bool:
         """Whether the last beam is a neighbour of the first."""
         return self.beams * abs(self.angle_step) > 2.0 * np.pi - 1.5 * abs(self.angle_step)
@@ -80,18 +85,6 @@ class ScanPoints:
         """The points with a position, (m, 2)."""
         return self.points[self.classes != INVALID]
 
-    @cached_property
-    def surface(self) -> tuple[FloatArray, FloatArray]:
-        """Points and normals of the surface points, (m, 2) each."""
-        on_surface = self.classes == SURFACE
-        return self.points[on_surface], self.normals[on_surface]
-
-    @cached_property
-    def oriented(self) -> tuple[FloatArray, FloatArray]:
-        """Points on surfaces and edges with their normals (0 on edges), (m, 2) each."""
-        known = self.classes >= SURFACE
-        return self.points[known], self.normals[known]
-
 
 def scan_points(
     ranges: npt.NDArray[np.floating], geometry: LaserGeometry, range_sigma: float
@@ -106,10 +99,10 @@ def scan_points(
     Returns:
         Points in b.
     """
-    angles = geometry.angle_min + geometry.angle_step * np.arange(geometry.beams)
     points, normals, variances, classes = _points_and_normals(
-        np.asarray(ranges, np.float64), angles, geometry.bTl, geometry.full_circle, range_sigma
-    )
+        np.asarray(ranges, np.float64), geometry.angles, geometry.bTl, geometry.full_circle,
+        range_sigma,
+    )  # fmt: skip
     return ScanPoints(points, normals, variances, classes)
 
 
@@ -118,7 +111,7 @@ def scan_points(
 _NEIGHBOURS, _SUPPORT = 25, 0.25
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _stands_out(ranges: FloatArray, i: int, hits: int, full_circle: bool) -> bool:
     """Whether the few beams around i hit a thin thing: what lies on both sides is farther away.
 
@@ -136,7 +129,7 @@ def _stands_out(ranges: FloatArray, i: int, hits: int, full_circle: bool) -> boo
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _points_and_normals(
     ranges: FloatArray, angles: FloatArray, bTl: FloatArray, full_circle: bool, sigma: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.uint8]]:

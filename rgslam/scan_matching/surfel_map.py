@@ -9,6 +9,8 @@ constant time, and the likelihood of a return there for the correlative search.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,20 +24,38 @@ BLOCKS = (16, 4, 1)
 _REACH = 5
 
 
-@dataclass(frozen=True, eq=False)
-class SurfelMap:
-    """Surfels with their lookup grids. Rows go with y, columns with x."""
+class Surfels(NamedTuple):
+    """Surfels and where to look them up, as kernels take them. Rows go with y, columns with x."""
 
     points: FloatArray  # (s, 2), w
     normals: FloatArray  # (s, 2), w, towards the sensor; 0 where unreliable
     normal_variances: FloatArray  # (s,), rad^2
     is_edge: npt.NDArray[np.bool_]  # (s,), whether it stands for an edge
     nearest: npt.NDArray[np.int32]  # (H, W), index of the nearest surfel, -1 = none within reach
-    levels: tuple[
-        npt.NDArray[np.uint8], ...
-    ]  # (H, W), likelihood 0..255 with its max-pooled bounds
     resolution: float  # m per cell
     origin: FloatArray  # (2,), outer corner of cell (0, 0), w
+
+
+@dataclass(frozen=True, eq=False)
+class SurfelMap:
+    """Surfels with their lookup grids. What only a search needs is made when one comes."""
+
+    surfels: Surfels
+
+    @cached_property
+    def fine(self) -> npt.NDArray[np.uint8]:
+        """(H, W), likelihood 0..255 of a return in a cell."""
+        return _likelihood(self.surfels)
+
+    @cached_property
+    def middle(self) -> npt.NDArray[np.uint8]:
+        """(H, W), the most that any of 4 x 4 cells has."""
+        return _pool(self.fine, BLOCKS[1], 1)
+
+    @cached_property
+    def coarse(self) -> npt.NDArray[np.uint8]:
+        """(H, W), the most that any of 16 x 16 cells has."""
+        return _pool(self.middle, BLOCKS[0] // BLOCKS[1], BLOCKS[1])
 
 
 def build_surfel_map(
@@ -62,18 +82,12 @@ def build_surfel_map(
     low = np.array([x.min(), y.min()]) - BLOCKS[0] * resolution
     rows = int(np.ceil((y.max() - low[1]) / resolution)) + BLOCKS[0]
     cols = int(np.ceil((x.max() - low[0]) / resolution)) + BLOCKS[0]
-    points, normals, variances, is_edge = _merge(
-        w_points, w_normals, normal_variances, classes, low, resolution, rows, cols
-    )
-    nearest, fine = _stamp(points, low, resolution, rows, cols)
-    middle = _pool(fine, BLOCKS[1], 1)
-    coarse = _pool(middle, BLOCKS[0] // BLOCKS[1], BLOCKS[1])
-    return SurfelMap(
-        points, normals, variances, is_edge, nearest, (coarse, middle, fine), resolution, low
-    )
+    merged = _merge(w_points, w_normals, normal_variances, classes, low, resolution, rows, cols)
+    return SurfelMap(Surfels(*merged, _stamp(merged[0], low, resolution, rows, cols),
+                             resolution, low))  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _merge(
     points: FloatArray,
     normals: FloatArray,
@@ -125,29 +139,45 @@ def _merge(
     return means, directions, spread, is_edge
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _stamp(
     points: FloatArray, low: FloatArray, resolution: float, rows: int, cols: int
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint8]]:
+) -> npt.NDArray[np.int32]:
+    """Index (H, W) of the surfel nearest to the centre of each cell, -1 = none within reach."""
     nearest = np.full((rows, cols), -1, np.int32)
-    distance = np.full((rows, cols), np.float32(1e9))
+    cells = np.empty_like(points)  # in cells, 0 = the centre of the first one
     for k in range(len(points)):
-        x, y = (points[k, 0] - low[0]) / resolution, (points[k, 1] - low[1]) / resolution
-        row, col = int(y), int(x)
+        x = cells[k, 0] = (points[k, 0] - low[0]) / resolution - 0.5
+        y = cells[k, 1] = (points[k, 1] - low[1]) / resolution - 0.5
+        row, col = int(y + 0.5), int(x + 0.5)
         for r in range(max(row - _REACH, 0), min(row + _REACH + 1, rows)):
-            dy = r + 0.5 - y
             for c in range(max(col - _REACH, 0), min(col + _REACH + 1, cols)):
-                dx = c + 0.5 - x
-                d2 = np.float32(dx * dx + dy * dy)
-                if d2 < distance[r, c]:
-                    distance[r, c] = d2
-                    nearest[r, c] = k
+                rival = nearest[r, c]
+                if rival >= 0:
+                    # Computed again, as a grid of distances costs more than it saves
+                    dx, dy = c - cells[rival, 0], r - cells[rival, 1]
+                    if (c - x) ** 2 + (r - y) ** 2 >= dx * dx + dy * dy:
+                        continue
+                nearest[r, c] = k
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def _likelihood(surfels: Surfels) -> npt.NDArray[np.uint8]:
+    nearest, origin = surfels.nearest, surfels.origin
+    rows, cols = nearest.shape
+    table = np.empty(64 * 2 * (_REACH + 1) ** 2, np.uint8)  # of the squared distance in 1/64 cells
+    for k in range(len(table)):
+        table[k] = np.uint8(255.0 * np.exp(-k / 128.0))
     likelihood = np.zeros((rows, cols), np.uint8)
     for r in range(rows):
         for c in range(cols):
-            if nearest[r, c] >= 0:
-                likelihood[r, c] = np.uint8(255.0 * np.exp(-0.5 * distance[r, c]))
-    return nearest, likelihood
+            k = nearest[r, c]
+            if k >= 0:
+                dx = (surfels.points[k, 0] - origin[0]) / surfels.resolution - c - 0.5
+                dy = (surfels.points[k, 1] - origin[1]) / surfels.resolution - r - 0.5
+                likelihood[r, c] = table[int(64.0 * (dx * dx + dy * dy))]
+    return likelihood
 
 
 def _pool(grid: npt.NDArray[np.uint8], factor: int, stride: int) -> npt.NDArray[np.uint8]:
