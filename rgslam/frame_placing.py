@@ -65,6 +65,8 @@ class FramePlacer:
         self._scans: deque[tuple[ScanPlace, ScanPlace]] = deque()
         self._first = True  # no scan has been forgotten yet
         self._disagreement: deque[float] = deque(maxlen=_STEPS)
+        # Steps not yet among them: a run without images has no use for their disagreement
+        self._steps: deque[tuple[ScanPlace, ScanPlace]] = deque(maxlen=_STEPS)
 
     def add(self, observations: FrameObservations) -> list[PlacedFrame]:
         """Take what a stereo pair shows; returns the frames that could be placed."""
@@ -74,7 +76,7 @@ class FramePlacer:
     def add_scan(self, scan: ScanPlace) -> list[PlacedFrame]:
         """Take the next placed scan; returns the frames that could be placed."""
         if self._scans:
-            self._disagreement.append(_disagreement(self._scans[-1][1], scan))
+            self._steps.append((self._scans[-1][1], scan))
         self._scans.append((scan, scan))
         while len(self._scans) > 2 and self._scans[1][0].stamp < scan.stamp - HORIZON:
             self._scans.popleft()
@@ -136,6 +138,8 @@ class FramePlacer:
         At the ends of a step the laser shows what they are off by; the laser's own noise is part of
         that, which errs to the safe side. A step that is worse than usual counts as it is.
         """
+        self._disagreement.extend(_disagreement(*step) for step in self._steps)
+        self._steps.clear()
         if len(self._disagreement) < _FEW_STEPS:
             return 1.0
         return max(float(np.mean(self._disagreement)), _disagreement(a, b))

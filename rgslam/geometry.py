@@ -59,7 +59,17 @@ def _inverse_one(x: float, y: float, theta: float) -> FloatArray:
 
 def between(wTa: FloatArray, wTb: FloatArray) -> FloatArray:
     """aTb = wTa^-1 * wTb, shapes (..., 3)."""
+    wTa, wTb = np.asarray(wTa, float), np.asarray(wTb, float)
+    if wTa.ndim == wTb.ndim == 1:
+        return _between_one(*wTa.tolist(), *wTb.tolist())
     return compose(inverse(wTa), wTb)
+
+
+def _between_one(
+    ax: float, ay: float, atheta: float, bx: float, by: float, btheta: float
+) -> FloatArray:
+    c, s, dx, dy = math.cos(atheta), math.sin(atheta), bx - ax, by - ay
+    return np.array([c * dx + s * dy, c * dy - s * dx, _wrap_one(btheta - atheta)])
 
 
 def transform_points(aTb: FloatArray, b_points: FloatArray) -> FloatArray:

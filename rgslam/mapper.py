@@ -50,6 +50,8 @@ from rgslam.types import (
 _STANDING = np.diag([0.01**2, 0.01**2, 0.005**2])
 #: Sigmas by which a loop must be off before the poses are optimised at once.
 _SURPRISING_SIGMAS = 3.0
+#: Poses are settled whenever the map has grown by this part of itself.
+_SETTLE_SHARE = 10
 #: While the run goes on, poses need not be better than the next loop makes them.
 _UNDERWAY_TOLERANCE = 1e-3
 
@@ -256,25 +258,33 @@ class Mapper:
     def _search_loops(self, number: int) -> list[LoopCandidate]:
         if not self.config.loop_closing.enabled or number == 0:
             return []
-        view = MapView(
+        return self._closer.search(self._view(), number)
+
+    def _view(self) -> MapView:
+        return MapView(
             self._store,
             self._poses,
             np.array(self._keyframe_path),
             self._local_map.sigma,
             self.config.scan_matching.beam_correlation,
         )
-        return self._closer.search(view, number)
 
     def _settle(self, loops: list[LoopCandidate]) -> None:
         """Add loops to the graph; optimise when they tell something new."""
-        edges = [loop.edge for loop in loops]
-        self._graph.add(edges)
-        self._closer.add_edges(edges)
+        edges = self._add_loops(loops)
         self._unsettled += bool(loops) or self._unsettled > 0
         far_off = mahalanobis(edges, self._poses) > _SURPRISING_SIGMAS
         surprise = bool(far_off.any()) or any(loop.wide for loop in loops)
-        if surprise or self._unsettled > self.config.factor_graph.optimise_every:
+        # In proportion to the map, or a long run would spend its time on settling
+        usual = max(self.config.factor_graph.optimise_every, len(self._poses) // _SETTLE_SHARE)
+        if surprise or self._unsettled > usual:
             self._optimise(any(loop.wide for loop in loops), _UNDERWAY_TOLERANCE)
+
+    def _add_loops(self, loops: list[LoopCandidate]) -> list[PoseEdge]:
+        edges = [loop.edge for loop in loops]
+        self._graph.add(edges)
+        self._closer.add_edges(edges)
+        return edges
 
     def _optimise(self, convex_start: bool = False, tolerance: float = 1e-5) -> None:
         """Most likely poses; loops that the others outvote are taken back.
@@ -322,9 +332,12 @@ class Mapper:
         if not len(self._poses):
             raise RecordingError(f"{recording or 'the recording'}: no scan shows a surface")
         tell = progress or (lambda stage, done, total: None)
+        with self.clock.stage("loop closing"):
+            loops = self._closer.finish(self._view())
         with self.clock.stage("optimisation"):
             tell("optimisation", 0, 2)
-            self._optimise()
+            self._add_loops(loops)
+            self._optimise(any(loop.wide for loop in loops))
             tell("optimisation", 1, 2)
             covariances = self._graph.covariances(self._poses)
             tell("optimisation", 2, 2)

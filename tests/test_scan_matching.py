@@ -55,7 +55,7 @@ def surfels_of(points: ScanPoints, wTb: FloatArray, resolution: float = 0.05) ->
 
 
 def aligned(scan: ScanPoints, guess: FloatArray, surfels: SurfelMap) -> FloatArray:
-    return register(*scan.oriented, guess, surfels, SIGMA, gate_schedule(0.25, SIGMA)).wTb
+    return register(scan, guess, surfels, SIGMA, gate_schedule(0.25, SIGMA)).wTb
 
 
 # --- Points and normals ---------------------------------------------------------------------------
@@ -63,7 +63,8 @@ def aligned(scan: ScanPoints, guess: FloatArray, surfels: SurfelMap) -> FloatArr
 
 def test_normals_of_a_room_point_inwards() -> None:
     points = seen_from(np.array([0.3, -0.2, 0.4]))
-    surface, normals = points.surface
+    surface = points.points[points.classes == SURFACE]
+    normals = points.normals[points.classes == SURFACE]
     w_points = transform_points(np.array([0.3, -0.2, 0.4]), surface)
     w_normals = transform_points(np.array([0.0, 0.0, 0.4]), normals)
     on_side = np.abs(np.abs(w_points[:, 0]) - ROOM[0] / 2.0) < 1e-6
@@ -126,10 +127,10 @@ def test_nearest_surfel_of_a_cell_is_the_nearest_of_all() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-1.0, 1.0, (60, 2))
     surfels = build_surfel_map(points, np.zeros((60, 2)), np.zeros(60), np.ones(60, np.uint8), 0.05)
-    rows, cols = np.nonzero(surfels.nearest >= 0)
-    centres = surfels.origin + (np.stack([cols, rows], -1) + 0.5) * 0.05
-    distances = np.linalg.norm(centres[:, None] - surfels.points[None], axis=-1)
-    found = distances[np.arange(len(centres)), surfels.nearest[rows, cols]]
+    rows, cols = np.nonzero(surfels.surfels.nearest >= 0)
+    centres = surfels.surfels.origin + (np.stack([cols, rows], -1) + 0.5) * 0.05
+    distances = np.linalg.norm(centres[:, None] - surfels.surfels.points[None], axis=-1)
+    found = distances[np.arange(len(centres)), surfels.surfels.nearest[rows, cols]]
     near = distances.min(axis=1) < 0.25  # the five cells that every surfel reaches
     np.testing.assert_allclose(found[near], distances.min(axis=1)[near], atol=1e-6)
     assert near.sum() > 1000
@@ -143,14 +144,14 @@ def test_two_faces_of_a_thin_wall_stay_apart() -> None:
     surfels = build_surfel_map(
         np.vstack([front, back]), normals, np.full(100, 1e-4), np.full(100, SURFACE, np.uint8), 0.05
     )
-    np.testing.assert_allclose(np.abs(surfels.normals[:, 1]), 1.0)
-    heights = surfels.points[:, 1] - surfels.origin[1]
+    np.testing.assert_allclose(np.abs(surfels.surfels.normals[:, 1]), 1.0)
+    heights = surfels.surfels.points[:, 1] - surfels.surfels.origin[1]
     assert len(np.unique(np.round(heights, 4))) == 2
 
 
 def test_levels_bound_the_finer_ones() -> None:
     surfels = surfels_of(seen_from(np.zeros(3)), np.zeros(3))
-    coarse, middle, fine = surfels.levels
+    coarse, middle, fine = surfels.coarse, surfels.middle, surfels.fine
     for level, block in ((middle, 4), (coarse, 16)):
         for r, c in ((0, 0), (17, 30), (40, 55)):
             assert level[r, c] == fine[r : r + block, c : c + block].max()
@@ -163,11 +164,11 @@ def brute_force(
     surfels: SurfelMap, points: FloatArray, centre: FloatArray, cells: int, turns: FloatArray
 ) -> float:
     """Best mean likelihood over the same lattice, in NumPy."""
-    fine = surfels.levels[2].astype(float)
+    fine = surfels.fine.astype(float)
     best = 0.0
     for turn in turns:
         w = transform_points(centre + np.array([0.0, 0.0, turn]), points)
-        col_row = np.floor((w - surfels.origin) / surfels.resolution).astype(int)
+        col_row = np.floor((w - surfels.surfels.origin) / surfels.surfels.resolution).astype(int)
         for dr in range(-cells, cells + 1):
             for dc in range(-cells, cells + 1):
                 c, r = col_row[:, 0] + dc, col_row[:, 1] + dr
@@ -246,7 +247,7 @@ def test_errors_are_as_large_as_the_information_says() -> None:
     squared = []
     for seed in range(120):
         scan = seen_from(truth, NOISE, seed)
-        match = register(*scan.surface, truth, surfels, NOISE, gate_schedule(0.1, NOISE))
+        match = register(scan, truth, surfels, NOISE, gate_schedule(0.1, NOISE))
         error = between(truth, match.wTb)
         squared.append(error @ match.information @ error)
     # 120 samples of chi-square with 3 degrees of freedom: mean 3, 99.7 % below 3.7. Range noise is
@@ -262,7 +263,7 @@ def test_a_hallway_stays_open_along_its_axis() -> None:
     scan = LaserScan(0.0, ranges, angles, 12.0, np.zeros(3))
     points = scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
     surfels = surfels_of(points, np.zeros(3))
-    match = register(*points.oriented, np.zeros(3), surfels, SIGMA, gate_schedule(0.1, SIGMA))
+    match = register(points, np.zeros(3), surfels, SIGMA, gate_schedule(0.1, SIGMA))
     along, across = match.information[0, 0], match.information[1, 1]
     # Noise of the normals alone would claim a thousandth of the information across
     assert along < 2e-4 * across

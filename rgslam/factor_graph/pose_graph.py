@@ -74,7 +74,8 @@ class PoseGraph:
         if convex_start:
             values = gtsam.LevenbergMarquardtOptimizer(self._convex, values, parameters).optimize()
         values = gtsam.LevenbergMarquardtOptimizer(self._robust, values, parameters).optimize()
-        return np.array([_row(values.atPose2(X(k))) for k in range(len(initial))])
+        found: FloatArray = gtsam.utilities.extractPose2(values)  # in the order of the keys
+        return found
 
     def covariances(self, poses: FloatArray) -> FloatArray:
         """Marginal covariances (K, 3, 3) at `poses`, in each keyframe's own frame: x, y, theta."""
@@ -98,7 +99,3 @@ def _values(poses: FloatArray) -> gtsam.Values:
     for k, pose in enumerate(poses):
         values.insert(X(k), gtsam.Pose2(*pose))
     return values
-
-
-def _row(pose: gtsam.Pose2) -> tuple[float, float, float]:
-    return pose.x(), pose.y(), pose.theta()

@@ -1,11 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The rgslam authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The loop closer: searches from new keyframes, holds back wide loops until others agree."""
+"""The loop closer: searches from new keyframes, holds back wide loops until others agree.
+
+A search runs beside the matching of the next scans. Its result is taken when the next search is
+due, however fast it was: the map does not depend on the machine.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
@@ -28,6 +33,8 @@ class LoopCloser:
         self._pending: list[LoopCandidate] = []
         self._agree = np.zeros((0, 0), bool)
         self._searched_at = 0.0
+        self._worker = ThreadPoolExecutor(1, "loop search")
+        self._running: Future[list[LoopCandidate]] | None = None
         self.accepted: list[LoopCandidate] = []
         self.rejected: list[LoopCandidate] = []
 
@@ -36,26 +43,45 @@ class LoopCloser:
         self._table.add(edges)
 
     def search(self, view: MapView, new: int) -> list[LoopCandidate]:
-        """Loops of the newest keyframe that are to be believed now; often none.
+        """Look for loops of the newest keyframe, in the background.
 
         Args:
             view: the map so far.
             new: the newest keyframe.
+
+        Returns:
+            Loops of the search before that are to be believed; often none.
         """
         if view.path[new] - self._searched_at < self._config.search_every:
             return []
         self._searched_at = float(view.path[new])
         if view.path[new] < self._config.min_path:
             return []
+        believed = self.finish(view)
         covariances = self._table.relative_covariances(new, len(view.poses))
         patch = np.flatnonzero(view.path[new] - view.path < self._config.patch_length)
+        chunks = old_chunks(view, new, patch, covariances, self._config)
+
+        def propose() -> list[LoopCandidate]:
+            return [
+                propose_loop(view, new, patch, chunk, covariances[chunk[0]], self._config)
+                for chunk in chunks
+            ]
+
+        self._running = self._worker.submit(propose) if chunks else None
+        return believed
+
+    def finish(self, view: MapView) -> list[LoopCandidate]:
+        """Wait for the search that is under way; loops that are to be believed now."""
+        if self._running is None:
+            return []
+        candidates, self._running = self._running.result(), None
         believed: list[LoopCandidate] = []
-        for chunk in old_chunks(view, new, patch, covariances, self._config):
-            candidate = propose_loop(view, new, patch, chunk, covariances[chunk[0]], self._config)
+        for candidate in candidates:
             if candidate.rejection is not None:
                 self.rejected.append(candidate)
             elif candidate.wide:
-                self._hold(candidate, view, covariances)
+                self._hold(candidate, view)
             else:
                 believed.append(candidate)
         believed += self._confirm(view)
@@ -74,7 +100,8 @@ class LoopCloser:
         """Rejected candidates by reason."""
         return Counter(c.rejection.value for c in self.rejected if c.rejection is not None)
 
-    def _hold(self, candidate: LoopCandidate, view: MapView, new_covariances: np.ndarray) -> None:
+    def _hold(self, candidate: LoopCandidate, view: MapView) -> None:
+        new_covariances = self._table.relative_covariances(candidate.edge.j, len(view.poses))
         old_covariances = self._table.relative_covariances(candidate.edge.i, len(view.poses))
         row = [
             consistent(

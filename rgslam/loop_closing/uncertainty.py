@@ -29,17 +29,23 @@ class EdgeTable:
     """Edges as arrays that grow, for the shortest paths."""
 
     def __init__(self) -> None:
-        self._ends: list[tuple[int, int]] = []
-        self._poses: list[FloatArray] = []
-        self._covariances: list[FloatArray] = []
+        self._size = 0
+        self._ends = np.empty((64, 2), np.int64)
+        self._poses = np.empty((64, 3))
+        self._covariances = np.empty((64, 3, 3))
         self._prepared: _Network | None = None
 
     def add(self, edges: Sequence[PoseEdge]) -> None:
         """Append edges."""
         for edge in edges:
-            self._ends.append((edge.i, edge.j))
-            self._poses.append(edge.iTj)
-            self._covariances.append(edge.covariance)
+            if self._size == len(self._ends):
+                self._ends = np.concatenate([self._ends, self._ends])
+                self._poses = np.concatenate([self._poses, self._poses])
+                self._covariances = np.concatenate([self._covariances, self._covariances])
+            self._ends[self._size] = edge.i, edge.j
+            self._poses[self._size] = edge.iTj
+            self._covariances[self._size] = edge.covariance
+            self._size += 1
         self._prepared = None
 
     def relative_covariances(self, source: int, count: int) -> FloatArray:
@@ -60,6 +66,10 @@ class EdgeTable:
         sequence = np.argsort(distance, kind="stable")
         sequence = sequence[np.isfinite(distance[sequence])]
         children = sequence[1:]
+        if not len(children):  # nothing is tied to it; SciPy looks nothing up in no places
+            alone = np.full((count, 3, 3), np.inf)
+            alone[source] = 0.0
+            return alone
         mothers = parents[children]
         forward = np.asarray(network.number[mothers, children]).ravel()
         backward = np.asarray(network.number[children, mothers]).ravel()
@@ -76,7 +86,10 @@ class EdgeTable:
     def _network(self, count: int) -> _Network:
         """The edges as a sparse graph, made anew when one was added."""
         if self._prepared is None or self._prepared.graph.shape[0] != count:
-            self._prepared = _Network.of(self._ends, self._poses, self._covariances, count)
+            held = slice(self._size)
+            self._prepared = _Network.of(
+                self._ends[held], self._poses[held], self._covariances[held], count
+            )
         return self._prepared
 
 
@@ -91,26 +104,18 @@ class _Network:
     covariances: FloatArray  # (n, 3, 3)
 
     @classmethod
-    def of(
-        cls,
-        ends: Sequence[tuple[int, int]],
-        poses: Sequence[FloatArray],
-        covariances: Sequence[FloatArray],
-        count: int,
-    ) -> _Network:
-        pairs = np.array(ends, np.int64).reshape(-1, 2)
-        spread = np.array(covariances).reshape(-1, 3, 3)
-        length = spread[:, 0, 0] + spread[:, 1, 1] + _LEVER**2 * spread[:, 2, 2]
+    def of(cls, ends: IntArray, poses: FloatArray, covariances: FloatArray, count: int) -> _Network:
+        length = covariances[:, 0, 0] + covariances[:, 1, 1] + _LEVER**2 * covariances[:, 2, 2]
         order = np.argsort(length, kind="stable")
-        _, first = np.unique(pairs[order], axis=0, return_index=True)
+        _, first = np.unique((ends[:, 0] * count + ends[:, 1])[order], return_index=True)
         keep = order[first]
-        where = (pairs[keep, 0], pairs[keep, 1])
+        where = (ends[keep, 0], ends[keep, 1])
         graph = coo_array((length[keep], where), shape=(count, count)).tocsr()
         number = coo_array((keep + 1.0, where), shape=(count, count)).tocsr()
-        return cls(graph, number, length, np.array(poses).reshape(-1, 3), spread)
+        return cls(graph, number, length, poses, covariances)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _propagate(
     count: int,
     source: int,
@@ -141,7 +146,7 @@ def _propagate(
     return result
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _carry(covariance: FloatArray, x: float, y: float, c: float, s: float) -> None:
     """A S A^T in place, with the adjoint A of the pose (x, y, angle of cosine c and sine s)."""
     for k in range(3):  # rows: A S

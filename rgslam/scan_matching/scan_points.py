@@ -35,7 +35,7 @@ class LaserGeometry:
     @cached_property
     def angles(self) -> FloatArray:
         """Of all beams, (n,), rad, laser frame."""
-        return self.angle_min + self.angle_step * np.arange(self.beams)
+        return self.angle_min + self.angle_step * np.arange(self.beams, dtype=np.float64)
 
     @cached_property
     def full_circle(self) -> bool:

@@ -82,9 +82,11 @@ def build_surfel_map(
     low = np.array([x.min(), y.min()]) - BLOCKS[0] * resolution
     rows = int(np.ceil((y.max() - low[1]) / resolution)) + BLOCKS[0]
     cols = int(np.ceil((x.max() - low[0]) / resolution)) + BLOCKS[0]
-    merged = _merge(w_points, w_normals, normal_variances, classes, low, resolution, rows, cols)
-    return SurfelMap(Surfels(*merged, _stamp(merged[0], low, resolution, rows, cols),
-                             resolution, low))  # fmt: skip
+    points, normals, variances, is_edge = _merge(
+        w_points, w_normals, normal_variances, classes, low, resolution, rows, cols
+    )
+    nearest = _stamp(points, low, resolution, rows, cols)
+    return SurfelMap(Surfels(points, normals, variances, is_edge, nearest, resolution, low))
 
 
 @njit(cache=True, nogil=True)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from rgslam.geometry import transform_points
 from rgslam.scan_matching import (
+    SURFACE,
     LaserGeometry,
     ScanPoints,
     ScanStore,
@@ -57,7 +58,7 @@ def test_correlation(benchmark, scene) -> None:  # type: ignore[no-untyped-def]
 def test_correlation_numpy(benchmark, scene) -> None:  # type: ignore[no-untyped-def]
     _, surfels, scan = scene
     points = thinned(scan.valid, 0.1)
-    fine = np.pad(surfels.levels[2], 8)
+    fine = np.pad(surfels.fine, 8)
     window = np.lib.stride_tricks.sliding_window_view(fine, (13, 13))
     turns = np.arange(-0.35, 0.36, 0.05 / 5.0)
 
@@ -65,7 +66,7 @@ def test_correlation_numpy(benchmark, scene) -> None:  # type: ignore[no-untyped
         best = 0.0
         for turn in turns:
             w = transform_points(GUESS + np.array([0.0, 0.0, turn]), points)
-            at = np.floor((w - surfels.origin) / 0.05).astype(int) + 2
+            at = np.floor((w - surfels.surfels.origin) / 0.05).astype(int) + 2
             at = np.clip(at, 0, np.array(window.shape[1::-1]) - 1)
             best = max(best, window[at[:, 1], at[:, 0]].sum(axis=0, dtype=float).max())
         return best / (255.0 * len(points))
@@ -77,17 +78,17 @@ def test_correlation_numpy(benchmark, scene) -> None:  # type: ignore[no-untyped
 def test_registration(benchmark, scene) -> None:  # type: ignore[no-untyped-def]
     _, surfels, scan = scene
     gates = gate_schedule(0.2, 0.015)
-    match = benchmark(register, *scan.oriented, GUESS, surfels, 0.015, gates)
+    match = benchmark(register, scan, GUESS, surfels, 0.015, gates)
     assert np.hypot(*(match.wTb - [0.5, 0.25, 0.5])[:2]) < 0.01
 
 
 @pytest.mark.benchmark(group="registration")
 def test_registration_with_a_search_tree(benchmark, scene) -> None:  # type: ignore[no-untyped-def]
     _, surfels, scan = scene
-    points = scan.surface[0]
-    walls = surfels.normals.any(axis=1)
-    tree, normals = cKDTree(surfels.points[walls]), surfels.normals[walls]
-    places = surfels.points[walls]
+    points = scan.points[scan.classes == SURFACE]
+    walls = surfels.surfels.normals.any(axis=1)
+    tree, normals = cKDTree(surfels.surfels.points[walls]), surfels.surfels.normals[walls]
+    places = surfels.surfels.points[walls]
 
     def icp() -> FloatArray:
         pose = GUESS.copy()
@@ -109,4 +110,6 @@ def test_registration_with_a_search_tree(benchmark, scene) -> None:  # type: ign
 def test_surfels(benchmark, scene) -> None:  # type: ignore[no-untyped-def]
     store, surfels, _ = scene
     members = store.in_world(np.arange(12), POSES)
-    assert len(benchmark(build_surfel_map, *members, 0.05).points) == len(surfels.points)
+    assert len(benchmark(build_surfel_map, *members, 0.05).surfels.points) == len(
+        surfels.surfels.points
+    )
