@@ -66,9 +66,10 @@ class DepthNoiseRow:
     height_bias_cm: float
     height_sigma_cm: float
     corner_cm: float  # median of the largest corner error
-    # Maximum likelihood only: median stated sigma, and the mean NEES of pose and size over 8.
+    # Maximum likelihood only: median stated sigmas, and the mean NEES of pose and size over 8.
     stated_width_sigma_cm: float | None = None
     stated_height_sigma_cm: float | None = None
+    stated_tilt_deg: float | None = None  # of the normal's direction
     nees: float | None = None
 
 
@@ -191,7 +192,9 @@ class _Trial:
     def _maximum_likelihood(self, rig: StereoCamera) -> DepthNoiseRow:
         measured = CornerMeasurements.of(self.left_px, self.sigma_px**2, right_px=self.right_px)
         found = fit_rectangles(measured, rig)
-        sigma = 100.0 * np.median(np.sqrt(np.diagonal(found.covariances, 0, 1, 2)[:, 6:]), axis=0)
+        variances = np.diagonal(found.covariances, 0, 1, 2)
+        sigma = 100.0 * np.median(np.sqrt(variances[:, 6:]), axis=0)
+        tilt = np.sqrt(variances[:, :2].sum(axis=1))  # about the rectangle's x and y
         errors = np.concatenate(
             [
                 rotation_vectors(found.rotations.transpose(0, 2, 1) @ self.rotation),
@@ -209,6 +212,7 @@ class _Trial:
         stated = {
             "stated_width_sigma_cm": float(sigma[0]),
             "stated_height_sigma_cm": float(sigma[1]),
+            "stated_tilt_deg": float(np.rad2deg(np.median(tilt))),
             "nees": float(np.mean(squared) / 8.0),
         }
         return DepthNoiseRow(**{**asdict(row), **stated})

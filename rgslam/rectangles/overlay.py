@@ -92,9 +92,10 @@ def size_texts(size: FloatArray, sigma: FloatArray) -> list[str]:
 
     Two digits after the point where the deviation is below a millimetre.
     """
-    digits = 2 if 100.0 * float(np.max(sigma)) < 0.095 else 1
-    pairs = zip(100.0 * size, 100.0 * sigma, strict=True)
-    lines = [f"× {value:.{digits}f} ± {error:.{digits}f}" for value, error in pairs]
+    lines = []
+    for value, error in zip(100.0 * size, 100.0 * sigma, strict=True):
+        digits = 2 if error < 0.095 else 1
+        lines.append(f"× {value:.{digits}f} ± {error:.{digits}f}")
     return [lines[0][2:], *lines[1:-1], f"{lines[-1]} cm"]
 
 
