@@ -23,6 +23,22 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return None if asked or here else True
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """One line per benchmark: its best time, and how many times that of the first of its group."""
+    session = getattr(terminalreporter.config, "_benchmarksession", None)
+    if session is None or not session.benchmarks:
+        return
+    terminalreporter.section("speeds beside their peers")
+    first: dict[tuple[str, str | None], float] = {}
+    for bench in session.benchmarks:
+        seconds = bench.stats.min
+        ours = first.setdefault((bench.group or bench.name, bench.param), seconds)
+        ratio = "" if ours == seconds else f"  {seconds / ours:.1f} x"
+        terminalreporter.write_line(f"{bench.name:44} {1000 * seconds:12.3f} ms{ratio}")
+        for name, value in bench.extra_info.items():
+            terminalreporter.write_line(f"    {name}: {value:.1f}")
+
+
 @pytest.fixture(scope="session")
 def office_run() -> SimulatedRecording:
     """Five minutes through the built-in office."""
