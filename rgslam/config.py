@@ -200,7 +200,7 @@ class RectangleConfig(StageConfig):
     max_disparity: float = Field(0.4, gt=0.0, le=1.0)
     max_hypotheses: int = Field(250, ge=1)  # the best; each takes 0.2 ms to verify
     # Shape and verification
-    corner_sigma_px: float = Field(0.4, gt=0.0)  # rest of lens and rectification, bent objects
+    corner_sigma_px: float = Field(0.2, gt=0.0)  # what a good calibration leaves of lens and rows
     shape_sigmas: float = Field(4.0, gt=0.0)  # of the right angle, before depth is asked for
     # One image alone: ends of sides past which a line goes on, and how well directions are known.
     max_passes: int = Field(1, ge=0, le=8)

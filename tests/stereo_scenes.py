@@ -74,6 +74,20 @@ def box_boards(
     return boards
 
 
+def _inset(corners: np.ndarray) -> np.ndarray:
+    """Corners (4, 2) of a convex polygon whose sides are moved inwards by half a pixel.
+
+    OpenCV fills every pixel that the border touches: half a pixel too much all around.
+    """
+    side = np.roll(corners, -1, axis=0) - corners
+    normal = np.stack([-side[:, 1], side[:, 0]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal *= np.sign((normal * (corners.mean(axis=0) - corners)).sum(axis=1))[:, None]  # inwards
+    offset = (normal * corners).sum(axis=1) + 0.5
+    before = np.roll(np.arange(4), 1)
+    return np.stack([np.linalg.solve(normal[[b, s]], offset[[b, s]]) for s, b in enumerate(before)])
+
+
 def render(
     boards: Sequence[Board],
     camera: StereoCamera = CAMERA,
@@ -87,7 +101,7 @@ def render(
     for project in (camera.project, camera.project_right):
         canvas = np.full((camera.height * _FINER, camera.width * _FINER), wall, np.float32)
         for board in boards:
-            fine = (project(board.corners) + 0.5) * _FINER - 0.5
+            fine = _inset((project(board.corners) + 0.5) * _FINER - 0.5)
             cv2.fillConvexPoly(canvas, np.rint(fine * 16).astype(np.int32), board.grey, shift=4)
         image = cv2.resize(canvas, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         image = cv2.GaussianBlur(image, (0, 0), 0.6)  # what a lens does

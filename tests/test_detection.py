@@ -61,6 +61,34 @@ def test_errors_are_as_large_as_stated() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 1.5
 
 
+def test_pixel_covariances_hold_the_corner_errors() -> None:
+    """Of line fits alone, as a rendered lens is perfect; the joint error of 16 coordinates."""
+    ideal = Config(rectangles=RectangleConfig(corner_sigma_px=1e-3))
+    scores = []
+    for seed in range(10):
+        angle = 7.0 * seed
+        board = Board(
+            facing(angle, 0.5 * angle, 3.0), np.array([0.1, 0.1, 1.2 + 0.4 * seed]), (1, 0.7)
+        )
+        images = render([board], noise=1.0 + 0.3 * seed, seed=seed)
+        (found,) = detect_rectangles(*images, CAMERA, ideal).rectangles
+        for pixels, covariance, project in (
+            (found.left_px, found.left_covariance, CAMERA.project),
+            (found.right_px, found.right_covariance, CAMERA.project_right),
+        ):
+            error = (pixels - project(board.corners)).ravel()
+            scores.append(error @ np.linalg.solve(covariance, error))
+    # 8 degrees of freedom each; rendered edges are straighter than `edge_sigma_px` allows for.
+    assert 0.1 < np.mean(scores) < 8.0
+    assert max(scores) < 21.95  # 0.5 % of chi-square
+
+
+def test_pixel_covariances_include_what_the_lens_leaves(sheet: Detection) -> None:
+    found, least = sheet.rectangles[0], RectangleConfig().corner_sigma_px ** 2
+    for covariance in (found.left_covariance, found.right_covariance):
+        assert np.linalg.eigvalsh(covariance).min() >= least
+
+
 def test_nested_and_neighbouring_boards_are_told_apart() -> None:
     frame = Board(facing(10.0), np.array([-0.5, 0.0, 2.2]), (0.8, 1.2), 200.0)
     pane = Board(facing(10.0), np.array([-0.5, 0.0, 2.2]), (0.5, 0.8), 40.0)

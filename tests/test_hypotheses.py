@@ -129,7 +129,7 @@ def test_corner_covariance_against_numerical_derivatives(tilts: list[float]) -> 
     offsets = np.array([-60.0, -80.0, -60.0, -80.0])
     lines = synthetic_lines(normals, offsets)
     members = np.array([[0, 1, 2, 3]])
-    corners, covariance = corners_of_lines(lines, members)
+    corners, covariance = corners_of_lines(lines, members, 0.0)
     sum_of_squares = np.zeros((8, 8))
     for line in range(4):
         for sigma, kind in ((0.2, "across"), (1e-3, "turn")):
@@ -142,7 +142,7 @@ def test_corner_covariance_against_numerical_derivatives(tilts: list[float]) -> 
                 moved_normals[line] = turned / np.linalg.norm(turned)
                 moved_offsets[line] = -moved_normals[line] @ lines.midpoints[line]
             moved = synthetic_lines(moved_normals, moved_offsets)
-            slope = (corners_of_lines(moved, members)[0] - corners).ravel() / 1e-3
+            slope = (corners_of_lines(moved, members, 0.0)[0] - corners).ravel() / 1e-3
             sum_of_squares += np.outer(slope, slope)
     assert covariance[0] == pytest.approx(sum_of_squares, abs=1e-3 * covariance.max())
 

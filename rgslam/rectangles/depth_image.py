@@ -82,7 +82,7 @@ def _measured(
     corner_depths, sigmas, known, flat = corner_depths_of_planes(quads.corners, depth, section)
     measurements = CornerMeasurements.of(
         quads.corners,
-        quads.covariances + section.corner_sigma_px**2 * np.eye(8),
+        quads.covariances,
         depths=corner_depths,
         depth_sigmas=sigmas,
     )

@@ -129,7 +129,7 @@ def detect_rectangles(
         return _detection((), rejected, len(lines))
 
     # 4. Maximum likelihood from all corners in both images
-    estimates = _estimate(quads, measured, camera, config)
+    estimates = _estimate(quads, measured, camera)
     found = _accept(quads, measured, estimates, config, rejected)
     return _detection(found, rejected, len(lines))
 
@@ -164,8 +164,7 @@ def of_rectangular_shape(
 ) -> Quadrangles:
     """Without depth the shape is known up to scale: sides at right angles, or no rectangle."""
     section = config.rectangles
-    covariances = quads.covariances + section.corner_sigma_px**2 * np.eye(8)
-    score = shape_score(quads.corners, covariances, camera)
+    score = shape_score(quads.corners, quads.covariances, camera)
     good = score <= section.shape_sigmas
     rejected[Rejection.NOT_RECTANGLE] += int((~good).sum())
     return quads.take(np.flatnonzero(good))
@@ -194,14 +193,13 @@ def _in_right_image(
 
 
 def _estimate(
-    quads: Quadrangles, measured: RightCorners, camera: StereoCamera, config: Config
+    quads: Quadrangles, measured: RightCorners, camera: StereoCamera
 ) -> RectangleEstimates:
-    rest = config.rectangles.corner_sigma_px**2 * np.eye(8)
     measurements = CornerMeasurements.of(
         quads.corners,
-        quads.covariances + rest,
+        quads.covariances,
         right_px=measured.corners,
-        right_covariance=np.nan_to_num(measured.covariances) + rest,
+        right_covariance=measured.covariances,
     )
     return fit_rectangles(measurements, camera)
 

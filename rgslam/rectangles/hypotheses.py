@@ -38,7 +38,7 @@ class Quadrangles:
     """Hypotheses; corners run counter-clockwise as seen in the image (y down)."""
 
     corners: FloatArray  # (k, 4, 2), px
-    covariances: FloatArray  # (k, 8, 8), px^2, of the corners' coordinates, from the line fits
+    covariances: FloatArray  # (k, 8, 8), px^2, of the corners' coordinates, of line fits and lens
     lines: IntArray  # (k, 4), side s joins corners s and s + 1 and lies on this line
     support: FloatArray  # (k, 4), share of each side on which the image has an edge
     passes: IntArray  # (k,), of the eight ends of sides: past how many the line goes on
@@ -112,12 +112,15 @@ def find_corners(lines: ImageLines, shape: tuple[int, int], config: RectangleCon
     )
 
 
-def corners_of_lines(lines: ImageLines, members: IntArray) -> tuple[FloatArray, FloatArray]:
+def corners_of_lines(
+    lines: ImageLines, members: IntArray, corner_sigma_px: float
+) -> tuple[FloatArray, FloatArray]:
     """Corners of quadrangles and their covariance.
 
     Args:
         lines: All lines.
         members: (k, 4), the lines of each quadrangle in the order around.
+        corner_sigma_px: What no line fit knows of: the rest of lens and rectification.
 
     Returns:
         Corners (k, 4, 2), corner s between lines s - 1 and s, and the covariance (k, 8, 8) of all
@@ -139,7 +142,8 @@ def corners_of_lines(lines: ImageLines, members: IntArray) -> tuple[FloatArray, 
     half = np.stack([by_line[:, :, s] @ fits[:, s] for s in range(4)], axis=2)
     flat = slopes.reshape(len(members), 8, 8)
     covariance = half.reshape(len(members), 8, 8) @ flat.transpose(0, 2, 1)
-    return corners, 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    return corners, covariance + corner_sigma_px**2 * np.eye(8)
 
 
 def _inverse_2x2(matrix: FloatArray) -> FloatArray:
@@ -166,7 +170,7 @@ def _ranked(
     clockwise = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0] > 0
     members = np.where(clockwise[:, None], members[:, ::-1], members)
     quality = np.where(clockwise[:, None], quality[:, ::-1], quality)
-    points, covariances = corners_of_lines(lines, members)
+    points, covariances = corners_of_lines(lines, members, config.corner_sigma_px)
     return Quadrangles(points, covariances, members, quality, passes[kept], {})
 
 

@@ -45,11 +45,10 @@ def find_rectangular(
     """
     gradient = gradient_image(image)
     quads = find_quadrangles(lines_of_gradient(image, gradient, config), gradient, config)
-    covariances = quads.covariances + config.corner_sigma_px**2 * np.eye(8)
-    right = shape_score(quads.corners, covariances, camera) <= config.shape_sigmas
+    right = shape_score(quads.corners, quads.covariances, camera) <= config.shape_sigmas
     ended = quads.passes <= config.max_passes
     directions = side_directions(quads.corners, camera)
-    sigmas = _direction_sigmas(quads.corners, covariances, camera)
+    sigmas = _direction_sigmas(quads.corners, quads.covariances, camera)
     sure = (sigmas <= np.radians(config.max_direction_sigma_deg)).all(axis=1)
     rejected = Counter(quads.rejected)
     rejected[Rejection.NOT_RECTANGLE] += int((~right).sum())

@@ -58,11 +58,14 @@ def measure_in_right(
     count = len(predicted)
     sides = np.stack([predicted, np.roll(predicted, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     lines = refine_lines(sides, right, config)
-    corners, covariances = corners_of_lines(lines, np.arange(4 * count).reshape(count, 4))
+    corners, covariances = corners_of_lines(
+        lines, np.arange(4 * count).reshape(count, 4), config.corner_sigma_px
+    )
     usable = np.isfinite(corners).all(axis=(1, 2))
     # Lines that ran away from what was predicted follow something else.
     usable &= np.abs(corners - predicted).max(axis=(1, 2)) <= 4.0 * config.refine_reach_px
     corners = np.where(usable[:, None, None], corners, np.nan)
+    covariances = np.where(usable[:, None, None], covariances, np.eye(8))
     return RightCorners(corners, covariances, lines.seen.reshape(count, 4))
 
 
