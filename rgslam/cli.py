@@ -144,6 +144,51 @@ def demo(out: Out = Path("out/demo")) -> None:
     typer.echo(f"map written to {evaluation.folder}")
 
 
+@app.command()
+@_stoppable
+def simulate(
+    world: Annotated[
+        str,
+        typer.Argument(
+            metavar="WORLD", help="World file (YAML), or office, hallway_loop, lobby, museum."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder to write; replaced if it is a run.")],
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the sensors' noise.")] = 0,
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=0.0, help="End after so many seconds.")
+    ] = None,
+    no_stereo: Annotated[
+        bool, typer.Option("--no-stereo", help="Laser and odometry only: a matter of seconds.")
+    ] = False,
+    stereo_rate: Annotated[
+        float | None,
+        typer.Option("--stereo-rate", min=0.01, help="Stereo pairs per second; the world's own."),
+    ] = None,
+) -> None:
+    """Simulate a run through a world: a ROS 2 bag (MCAP) and truth.json.
+
+    \b
+    Example:
+      rgslam simulate office --out out/office --stereo-rate 0.5
+    """
+    from rgslam.cli_output import StageProgress
+    from rgslam.simulation import World, simulate, write_run
+
+    with StageProgress() as progress:
+        run = simulate(
+            World.find(world),
+            seed,
+            duration,
+            progress.update,
+            stereo=not no_stereo,
+            stereo_rate=stereo_rate,
+        )
+        write_run(run, out, progress.update)
+    counts = ", ".join(f"{count} {name}" for name, count in run.message_counts.items())
+    typer.echo(f"{counts} written to {out}")
+
+
 @app.command("map")
 @_stoppable
 def map_recording(

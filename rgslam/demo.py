@@ -55,7 +55,7 @@ def run_demo(
 
     folder = Path(out_dir)
     check_replaceable(folder, MAP_FILES | {TRUTH, RECORDING})  # before any work
-    recording = simulate(World.built_in(world), seed, duration, progress)
+    recording = simulate(World.built_in(world), seed, duration, progress, stereo=False)
     rg_map = build_map(recording, progress=progress)
     rg_map.save(folder, extras=_files(recording))
     return rg_map, evaluate_map(folder, truth=folder / TRUTH)

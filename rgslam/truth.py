@@ -112,10 +112,13 @@ class Truth:
     bTc: FloatArray | None = None  # (4, 4), the left camera on the robot
     odometry: Trajectory | None = None  # pose of the robot base at every odometry message
 
+    def encode(self) -> bytes:
+        """Content of `truth.json`; floats are written so that they read back to the same bits."""
+        return (json.dumps(_content(self), allow_nan=False) + "\n").encode()
+
     def save(self, path: Path | str) -> None:
-        """Write `truth.json`; floats are written so that they read back to the same bits."""
-        text = json.dumps(_content(self), allow_nan=False)
-        Path(path).write_text(text + "\n", encoding="utf-8")
+        """Write `truth.json`."""
+        Path(path).write_bytes(self.encode())
 
 
 def _content(truth: Truth) -> dict[str, Any]:

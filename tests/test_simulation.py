@@ -4,23 +4,28 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 import shapely
 from helpers import box_ranges, two_room_world
 from scipy.stats import chi2
 
-from rgslam.errors import WorldError
+from rgslam.errors import RecordingError, WorldError
 from rgslam.geometry import between, compose, wrap_angle
 from rgslam.loaders import Recording
-from rgslam.simulation import BUILT_IN_WORLDS, Drive, World, drive, simulate
+from rgslam.simulation import BUILT_IN_WORLDS, Drive, World, drive, simulate, write_run
 from rgslam.simulation.building import build_solids, footprint, true_gateways, true_regions
 from rgslam.simulation.recording import SimulatedRecording
+from rgslam.simulation.robot import OdometrySensor, Route
 from rgslam.simulation.sensors import read_wheels
-from rgslam.simulation.world import OdometrySensor, Route
+from rgslam.truth import read_truth
 from rgslam.types import GatewayClass, LaserScan, Odometry, RegionClass
 
 NOISE = 0.012
+WORLDS = Path(__file__).parents[1] / "datasets" / "worlds"
 
 
 def make(**changes: object) -> World:
@@ -333,16 +338,18 @@ def test_the_leaf_leaves_the_opening_clear() -> None:
     assert leaf.polygon.area == pytest.approx(1.01 * 0.04)
     assert leaf.polygon.bounds[0] > 4.0  # in the room it opens into
     closed = make(doors=[{**two_room_world()["doors"][0], "state": "closed"}])  # type: ignore[index]
-    blocked = footprint(build_solids(closed), 0.3).intersection(shapely.LineString(door_line()))
-    assert blocked.length == pytest.approx(1.01)
+    # Flush with the face of the wall that the leaf opens to
+    face = shapely.LineString([(4.05, 1.5), (4.05, 2.51)])
+    assert footprint(build_solids(closed), 0.3).intersection(face).length == pytest.approx(1.01)
     assert true_gateways(closed) == ()
 
 
-def door_line() -> list[tuple[float, float]]:
-    return [(4.0, 1.5), (4.0, 2.51)]
-
-
 # --- Worlds that are wrong ------------------------------------------------------------------------
+
+
+def hung(**changes: object) -> dict[str, object]:
+    """A poster on the south wall of the west room."""
+    return {"name": "poster", "size": [0.6, 0.8], "at": [2, 0.1], "facing_deg": 90, **changes}
 
 
 @pytest.mark.parametrize(
@@ -361,6 +368,17 @@ def door_line() -> list[tuple[float, float]]:
                         "polygon": [[0, 0], [4, 4], [4, 0], [0, 4]]}]},
             "'west': its outline crosses itself",
         ),
+        (
+            {"walls": [{"points": [[4, 0], [8, 0], [8, 4], [0, 4], [0, 0], [3, 0]],
+                        "thickness": 0.2}, {"points": [[4, 0], [4, 4]]}]},
+            r"area 'west': is not closed between \(3\.\d\d, 0\.00\) and \(3\.\d\d, 0\.00\)",
+        ),
+        ({"windows": [{"name": "w", "posts": [[1, 2], [2, 2]]}]}, "window 'w': .* in no one wall"),
+        ({"windows": [{"name": "w", "posts": [[1, 0], [2, 0]], "height": 2.0}]}, "'w': its top"),
+        ({"rectangles": [hung(at=[2, 2])]}, "rectangle 'poster': no wall within 0.5 m"),
+        ({"rectangles": [hung(facing_deg=0)]}, "rectangle 'poster': no wall within 0.5 m"),
+        ({"rectangles": [hung(facing_deg=70)]}, "rectangle 'poster': does not lie flat"),
+        ({"rectangles": [hung(), hung(at=[3, 0.1])]}, "two rectangles are named 'poster'"),
     ],
 )  # fmt: skip
 def test_wrong_worlds_name_the_place(changes: dict[str, object], message: str) -> None:
@@ -380,6 +398,11 @@ def test_wrong_worlds_name_the_place(changes: dict[str, object], message: str) -
          "route: {way_points: [[0, 0], [1, 1]]}\n", r"walls\.0\.thikness"),
         ("name: x\nwalls: [{points: [[0, 0], [1, .nan]]}]\nroute: {way_points: [[0, 0], [1, 1]]}\n",
          r"walls\.0\.points\.1\.1"),
+        ("name: x\nwalls: [{points: [[0, 0], [1, 0]]}]\nroute: {way_points: [[0, 0], [1, 1]]}\n"
+         "rectangles: [{name: a, size: [0, 1], at: [0, 0], facing_deg: 0}]\n",
+         r"rectangles\.0\.size\.0"),
+        ("name: x\nwalls: [{points: [[0, 0], [1, 0]]}]\nroute: {way_points: [[0, 0], [1, 1]]}\n"
+         "sensors: {stereo: {base_line: 0.2}}\n", r"sensors\.stereo\.base_line"),
     ],
 )  # fmt: skip
 def test_malformed_world_files(tmp_path, text: str, message: str) -> None:  # type: ignore[no-untyped-def]
@@ -387,6 +410,57 @@ def test_malformed_world_files(tmp_path, text: str, message: str) -> None:  # ty
     path.write_text(text)
     with pytest.raises(WorldError, match=message):
         World.from_yaml(path)
+
+
+def test_the_published_schema_is_that_of_the_code() -> None:
+    published = json.loads((WORLDS / "world.schema.json").read_text())
+    assert published == World.model_json_schema()
+
+
+def test_every_world_file_of_the_project_is_built_in() -> None:
+    assert {path.stem for path in WORLDS.glob("*.yaml")} == set(BUILT_IN_WORLDS)
+
+
+def test_worlds_are_found_by_name_and_by_path() -> None:
+    assert World.find("museum").name == World.find(WORLDS / "museum.yaml").name == "museum"
+    with pytest.raises(WorldError, match="castle: no such file, and no built-in world"):
+        World.find("castle")
+
+
+@pytest.mark.parametrize("name", BUILT_IN_WORLDS)
+def test_built_in_worlds_are_rich_enough(name: str) -> None:
+    run = simulate(World.built_in(name), duration=1.0, stereo=False)
+    rectangles, gateways = run.truth.rectangles, run.truth.gateways
+    doors = [r for r in rectangles if r.label == "door"]
+    if name == "museum":
+        assert len([r for r in rectangles if r.label == "picture"]) >= 15
+    else:
+        assert len(doors) >= 2 * 10
+        np.testing.assert_allclose([d.size for d in doors], [[1.01, 2.10]] * len(doors))
+    if name == "lobby":
+        assert {g.label for g in gateways} >= {
+            GatewayClass.L_JUNCTION, GatewayClass.T_JUNCTION, GatewayClass.X_JUNCTION,
+        }  # fmt: skip
+    if name == "office":
+        labels = {r.label for r in rectangles}
+        assert {"whiteboard", "poster", "monitor", "cabinet"} <= labels
+        monitors = [r.size for r in rectangles if r.label == "monitor"]
+        np.testing.assert_allclose(monitors, [[0.338, 0.27]] * len(monitors))
+    cuboids = {c.name for c in run.truth.cuboids}
+    assert {r.cuboid for r in rectangles if r.cuboid} == cuboids
+
+
+def test_a_run_is_written_with_its_truth(tmp_path: Path) -> None:
+    tiny = {"stereo": {"width": 48, "height": 36, "focal_px": 30.0, "rays_per_pixel": 1}}
+    run = simulate(make(sensors=tiny), seed=3, duration=1.0)
+    write_run(run, tmp_path / "run")
+    assert {p.name for p in (tmp_path / "run").iterdir()} == {
+        "run.mcap", "metadata.yaml", "truth.json",
+    }  # fmt: skip
+    assert read_truth(tmp_path / "run" / "truth.json").frames[0].stamp == run.truth.frames[0].stamp
+    write_run(run.without_stereo(), tmp_path / "run")  # in the place of the earlier one
+    with pytest.raises(RecordingError, match=r"run\.mcap: a run is a folder"):
+        write_run(run, tmp_path / "run.mcap")
 
 
 def test_missing_world_files(tmp_path) -> None:  # type: ignore[no-untyped-def]

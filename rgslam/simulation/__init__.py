@@ -8,5 +8,14 @@
 from rgslam.simulation.driving import Drive, drive
 from rgslam.simulation.recording import SimulatedRecording, simulate
 from rgslam.simulation.world import BUILT_IN_WORLDS, World
+from rgslam.simulation.writing import write_run
 
-__all__ = ["BUILT_IN_WORLDS", "Drive", "SimulatedRecording", "World", "drive", "simulate"]
+__all__ = [
+    "BUILT_IN_WORLDS",
+    "Drive",
+    "SimulatedRecording",
+    "World",
+    "drive",
+    "simulate",
+    "write_run",
+]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rgslam.errors import WorldError
-from rgslam.simulation.world import Area, Box, Door, DoorState, Passage, World
+from rgslam.simulation.world import Area, Box, Door, DoorState, Passage, Wall, Window, World
 from rgslam.truth import TruthGateway, TruthRegion
 from rgslam.types import FloatArray, GatewayClass, IntArray
 
@@ -22,32 +22,48 @@ if TYPE_CHECKING:
 #: A door is cut this much deeper than its wall, so that no sliver of wall stays, m.
 _CUT_MARGIN = 0.02
 
+#: An outline runs along a wall when it is no farther than this from its faces, m: plans are drawn
+#: to the decimetre.
+_NEAR_WALL = 0.1
+
+#: Thickness of a window's pane with its frame, m.
+_PANE = 0.04
+
+
+#: What a solid is made from; None = wall.
+Source = Door | Window | Box | None
+
 
 @dataclass(frozen=True, eq=False)
 class Solid:
     """An upright prism."""
 
     name: str
-    polygon: Polygon  # footprint, w
+    polygon: Polygon  # footprint, w; of a leaf, a pane or a box four corners counter-clockwise
     bottom: float  # m
     top: float  # m
+    source: Source = None
 
 
 def build_solids(world: World) -> list[Solid]:
-    """Walls with their doors cut out, door leaves, furniture.
+    """Walls with doors and windows cut out, door leaves, panes, furniture.
 
     Raises:
-        WorldError: a wall of no extent, a door or passage that is not in a wall, an area that is
-            unknown or whose outline crosses itself, a door that joins no two areas.
+        WorldError: a wall of no extent, a door, window or passage that is not in a wall, one that
+            is higher than its wall, an area that is unknown, is open somewhere or whose outline
+            crosses itself, a door that joins no two areas.
     """
     for area in world.areas:
         _area_polygon(area)  # before anything else is looked up in it
-    solids = _walls(world)
-    solids += [leaf for door in world.doors if (leaf := _leaf(door, world)) is not None]
-    solids += [
-        Solid(box.name, _box(box), box.bottom, box.bottom + box.height) for box in world.furniture
+    walls = _walls(world)  # names a wall of no extent, before areas are blamed
+    _check_closed(world)
+    leaves = [_leaf(door, world) for door in world.doors]
+    panes = [_pane(window, world) for window in world.windows]
+    boxes = [
+        Solid(box.name, _box(box), box.bottom, box.bottom + box.height, box)
+        for box in world.furniture
     ]
-    return solids
+    return walls + leaves + panes + boxes
 
 
 def footprint(solids: list[Solid], height: float) -> BaseGeometry:
@@ -133,18 +149,59 @@ def _gateway(world: World, opening: Door | Passage, label: GatewayClass) -> Trut
 
 
 def _walls(world: World) -> list[Solid]:
-    """One solid per connected piece of wall of the same height."""
+    """One solid per connected piece of wall of the same height, and what is over an opening."""
     from shapely.ops import unary_union
 
-    holes = unary_union([_hole(world, door) for door in world.doors])
+    openings: list[Door | Window] = [*world.doors, *world.windows]
+    holes = {id(opening): _hole(world, opening) for opening in openings}
     by_height = defaultdict(list)
     for i, wall in enumerate(world.walls):
         by_height[wall.height].append(_wall_polygon(world, i))
-    return [
+    pieces = [
         Solid("wall", piece, 0.0, height)
         for height, polygons in by_height.items()
-        for piece in _pieces(unary_union(polygons).difference(holes))
+        for piece in _pieces(unary_union(polygons).difference(unary_union(list(holes.values()))))
     ]
+    for opening in openings:
+        line = _opening_in_wall(opening, world)
+        bottom, top = _upright_span(opening)
+        height = wall_of(world, opening).height
+        if top > height:
+            raise WorldError(
+                f"{world.name}: {opening.name!r}: its top at {top:g} m is above the top of its "
+                f"wall at {height:g} m"
+            )
+        if bottom > 0.0:
+            pieces.append(Solid(f"below {opening.name}", line, 0.0, bottom))
+        if top < height:
+            pieces.append(Solid(f"above {opening.name}", line, top, height))
+    return pieces
+
+
+def _upright_span(opening: Door | Window) -> tuple[float, float]:
+    """Bottom and top of an opening, m."""
+    if isinstance(opening, Door):
+        return 0.0, opening.height
+    return opening.sill, opening.sill + opening.height
+
+
+def _check_closed(world: World) -> None:
+    """Raise a WorldError where an area ends and there is no wall, door, window or passage."""
+    from shapely.geometry import LineString
+    from shapely.ops import unary_union
+
+    closed = [_wall_polygon(world, i) for i in range(len(world.walls))]
+    posts = [door.posts for door in world.doors] + [p.posts for p in world.passages]
+    closed += [LineString(line) for line in posts]
+    cover = unary_union(closed).buffer(_NEAR_WALL)
+    for area in world.areas:
+        gap = _area_polygon(area).exterior.difference(cover)
+        if gap.length > 0.0:
+            x0, y0, x1, y1 = gap.bounds
+            raise WorldError(
+                f"{world.name}: area {area.name!r}: is not closed between ({x0:.2f}, {y0:.2f}) "
+                f"and ({x1:.2f}, {y1:.2f}): there is no wall, door or passage"
+            )
 
 
 def _wall_polygon(world: World, index: int) -> Polygon:
@@ -157,26 +214,41 @@ def _wall_polygon(world: World, index: int) -> Polygon:
     return line.buffer(wall.thickness / 2.0, cap_style="square", join_style="mitre")
 
 
-def _wall_thickness(world: World, door: Door) -> float:
-    """Thickness of the wall that a door is in."""
+def wall_of(world: World, opening: Door | Window) -> Wall:
+    """The wall that an opening is in."""
     from shapely.geometry import Point
 
-    posts = [Point(p) for p in door.posts]
+    posts = [Point(p) for p in opening.posts]
     for i, wall in enumerate(world.walls):
         if all(_wall_polygon(world, i).covers(post) for post in posts):
-            return wall.thickness
-    raise WorldError(f"{world.name}: door {door.name!r}: its posts {door.posts} are in no one wall")
+            return wall
+    kind = type(opening).__name__.lower()
+    raise WorldError(
+        f"{world.name}: {kind} {opening.name!r}: its posts {opening.posts} are in no one wall"
+    )
 
 
-def _hole(world: World, door: Door) -> Polygon:
+def _opening_in_wall(opening: Door | Window, world: World, margin: float = 0.0) -> Polygon:
+    """The part of the plan between two posts, as deep as the wall."""
     from shapely.geometry import LineString
 
-    depth = _wall_thickness(world, door) / 2.0 + _CUT_MARGIN
-    return LineString(door.posts).buffer(depth, cap_style="flat")
+    depth = wall_of(world, opening).thickness / 2.0 + margin
+    return LineString(opening.posts).buffer(depth, cap_style="flat")
 
 
-def _leaf(door: Door, world: World) -> Solid | None:
-    """The door leaf: in the middle of the wall when closed, else hung on the face of the wall."""
+def _hole(world: World, opening: Door | Window) -> Polygon:
+    return _opening_in_wall(opening, world, _CUT_MARGIN)
+
+
+def _pane(window: Window, world: World) -> Solid:
+    from shapely.geometry import LineString
+
+    polygon = LineString(window.posts).buffer(_PANE / 2.0, cap_style="flat")
+    return Solid(window.name, polygon, *_upright_span(window), window)
+
+
+def _leaf(door: Door, world: World) -> Solid:
+    """The door leaf: flush with the wall's face when closed, else hung on it."""
     from shapely.geometry import LineString, Point
 
     posts = np.asarray(door.posts, float)
@@ -189,18 +261,38 @@ def _leaf(door: Door, world: World) -> Solid | None:
         normal = -normal
     if not _area_polygon(area).contains(Point(posts.mean(axis=0) + 0.5 * normal)):
         raise WorldError(f"{world.name}: door {door.name!r}: is not at area {door.into!r}")
+    face = wall_of(world, door).thickness / 2.0 * normal
     if door.state is DoorState.CLOSED:
-        ends = posts
+        ends = posts + face - door.leaf_thickness / 2.0 * normal
     else:
         degrees = door.angle_deg if door.state is DoorState.OPEN else door.ajar_deg
         angle = np.deg2rad(degrees)
         leaf = np.cos(angle) * along + np.sin(angle) * normal
         outward = np.cos(angle) * normal - np.sin(angle) * along
-        hinge = posts[0] + _wall_thickness(world, door) / 2.0 * normal
-        hinge = hinge + door.leaf_thickness / 2.0 * outward  # leaves the opening clear
+        hinge = posts[0] + face + door.leaf_thickness / 2.0 * outward  # leaves the opening clear
         ends = np.stack([hinge, hinge + leaf * np.linalg.norm(posts[1] - posts[0])])
     polygon = LineString(ends).buffer(door.leaf_thickness / 2.0, cap_style="flat")
-    return Solid(f"leaf of {door.name}", polygon, 0.0, door.height)
+    return Solid(f"leaf of {door.name}", polygon, 0.0, door.height, door)
+
+
+def face_of_opening(
+    opening: Door, world: World, side: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where an opening meets one face of its wall.
+
+    Args:
+        opening: the door.
+        world: its world.
+        side: 1 = the face to the left of the line from the first post to the second, -1 = right.
+
+    Returns:
+        Foot (3,) of the left and of the right post as seen from that side, and the face's normal.
+    """
+    posts = np.asarray(opening.posts, float)
+    normal = side * _left_normal(posts)
+    on_face = posts + wall_of(world, opening).thickness / 2.0 * normal
+    left, right = on_face if side < 0.0 else on_face[::-1]
+    return np.array([*left, 0.0]), np.array([*right, 0.0]), np.array([*normal, 0.0])
 
 
 def _box(box: Box) -> Polygon:

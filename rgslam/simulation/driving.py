@@ -15,7 +15,7 @@ import numpy as np
 
 from rgslam.errors import WorldError
 from rgslam.geometry import interpolate
-from rgslam.simulation.world import Route
+from rgslam.simulation.robot import Route
 from rgslam.types import FloatArray
 
 _STEP = 0.01  # s, integration step: the pose between two steps is linear to a micrometre

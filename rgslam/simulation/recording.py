@@ -14,7 +14,10 @@ from rgslam.errors import WorldError
 from rgslam.loaders.recording import LaserFacts, ReadProgress, Recording
 from rgslam.simulation.building import build_solids, footprint, true_gateways, true_regions
 from rgslam.simulation.driving import Drive, drive
+from rgslam.simulation.robot import StereoSensor
 from rgslam.simulation.sensors import Sweeps, read_wheels, sweep_laser
+from rgslam.simulation.stereo_run import StereoRun
+from rgslam.simulation.surfaces import Piece, build_pieces, true_cuboids
 from rgslam.simulation.world import World
 from rgslam.truth import Truth
 from rgslam.types import FloatArray, LaserScan, Message, Odometry, ProgressCallback, Trajectory
@@ -25,6 +28,9 @@ START_STAMP = 1_600_000_000.0
 
 #: The laser's clock runs this much behind the odometry's, s: the two are never synchronised.
 _LASER_PHASE = 0.0137
+
+#: And the cameras' this much.
+_STEREO_PHASE = 0.0271
 
 
 class SimulatedRecording(Recording):
@@ -40,7 +46,13 @@ class SimulatedRecording(Recording):
     skipped_types: frozenset[str] = frozenset()
 
     def __init__(
-        self, world: World, truth: Truth, sweeps: Sweeps, wheel_times: FloatArray, oTb: FloatArray
+        self,
+        world: World,
+        truth: Truth,
+        sweeps: Sweeps,
+        wheel_times: FloatArray,
+        oTb: FloatArray,
+        stereo: StereoRun | None = None,
     ) -> None:
         laser = world.sensors.laser
         self.world, self.truth = world, truth
@@ -48,6 +60,8 @@ class SimulatedRecording(Recording):
         self.path = Path(f"{world.name}-seed{truth.seed}.simulated")
         self.scan_count = len(sweeps.times)
         self.message_counts = {"LaserScan": len(sweeps.times), "Odometry": len(wheel_times)}
+        if stereo is not None:
+            self.message_counts["StereoPair"] = len(stereo.stamps)
         self.laser = LaserFacts(
             no_return_from=np.inf,
             max_range=laser.max_range,
@@ -56,6 +70,7 @@ class SimulatedRecording(Recording):
             bTl_source="world file",
         )
         self._sweeps, self._wheel_times, self._oTb = sweeps, wheel_times, oTb
+        self._stereo = stereo
 
     @property
     def warnings(self) -> list[str]:
@@ -63,13 +78,25 @@ class SimulatedRecording(Recording):
         return []
 
     def messages(self, progress: ReadProgress | None = None) -> Iterator[Message]:
-        """Scans and odometry in the order of their stamps."""
-        total = len(self._sweeps.times) + len(self._wheel_times)
-        merged = heapq.merge(self._odometry(), self._scans(), key=lambda message: message.stamp)
+        """Scans, odometry and stereo pairs in the order of their stamps.
+
+        The images are rendered while one reads: again each time, to the same bytes.
+        """
+        total = sum(self.message_counts.values())
+        sources = [self._odometry(), self._scans()]
+        if self._stereo is not None:
+            sources.append(self._stereo.pairs())
+        merged = heapq.merge(*sources, key=lambda message: message.stamp)
         for done, message in enumerate(merged, start=1):
             yield message
             if progress is not None and (done % 100 == 0 or done == total):
                 progress(done / total)
+
+    def without_stereo(self) -> SimulatedRecording:
+        """The same run without its images, which takes no time to read."""
+        return SimulatedRecording(
+            self.world, self.truth, self._sweeps, self._wheel_times, self._oTb
+        )
 
     def _odometry(self) -> Iterator[Message]:
         stamps = _stamps(self._wheel_times).tolist()
@@ -97,6 +124,9 @@ def simulate(
     seed: int = 0,
     duration: float | None = None,
     progress: ProgressCallback | None = None,
+    *,
+    stereo: bool = True,
+    stereo_rate: float | None = None,
 ) -> SimulatedRecording:
     """Drive through a world and record it. The same world and seed give the same bytes.
 
@@ -104,7 +134,9 @@ def simulate(
         world: building, route and sensors.
         seed: of all sensor noise; the drive itself has none.
         duration: end the recording after so many seconds.
-        progress: called with the number of scans done.
+        progress: called with the number of scans, then of stereo frames done.
+        stereo: take images, if the robot has cameras.
+        stereo_rate: Hz; None = as the world says.
 
     Raises:
         WorldError: the world is not well formed, the route comes too near to a wall, or the
@@ -112,6 +144,7 @@ def simulate(
     """
     solids = build_solids(world)
     regions, gateways = true_regions(world), true_gateways(world)
+    pieces = build_pieces(world, solids)  # names what hangs on nothing, with or without images
     motion = drive(world.route)
     _check_clearance(world, motion, footprint(solids, world.sensors.laser.height))
     end = float(motion.times[-1]) if duration is None else min(duration, float(motion.times[-1]))
@@ -125,10 +158,40 @@ def simulate(
     laser_rng, wheel_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
     report = None if progress is None else lambda n: progress("simulate scans", n, len(scan_times))
     sweeps = sweep_laser(laser, solids, motion, scan_times, laser_rng, report)
-    oTb = read_wheels(wheels, motion.poses_at(odometry_times), odometry_times, wheel_rng)
-    trajectory = Trajectory(_stamps(scan_times), motion.poses_at(scan_times))
-    truth = Truth(world.name, seed, trajectory, regions, gateways)
-    return SimulatedRecording(world, truth, sweeps, odometry_times, oTb)
+    wheel_poses = motion.poses_at(odometry_times)
+    oTb = read_wheels(wheels, wheel_poses, odometry_times, wheel_rng)
+    cameras = world.sensors.stereo if stereo else None
+    run = _stereo_run(world, pieces, cameras, stereo_rate, motion, end, seed)
+    truth = Truth(
+        world=world.name,
+        seed=seed,
+        trajectory=Trajectory(_stamps(scan_times), motion.poses_at(scan_times)),
+        regions=regions,
+        gateways=gateways,
+        rectangles=tuple(piece.rectangle for piece in pieces if piece.name),
+        cuboids=true_cuboids(world),
+        frames=() if run is None else run.frames(),
+        camera=None if cameras is None else cameras.camera,
+        bTc=None if cameras is None else cameras.bTc,
+        odometry=Trajectory(_stamps(odometry_times), wheel_poses),
+    )
+    return SimulatedRecording(world, truth, sweeps, odometry_times, oTb, run)
+
+
+def _stereo_run(
+    world: World,
+    pieces: list[Piece],
+    cameras: StereoSensor | None,
+    rate: float | None,
+    motion: Drive,
+    end: float,
+    seed: int,
+) -> StereoRun | None:
+    if cameras is None:
+        return None
+    rate = rate or cameras.rate
+    times = _STEREO_PHASE + np.arange(max(0, int(np.ceil((end - _STEREO_PHASE) * rate)))) / rate
+    return StereoRun(world, pieces, cameras, _stamps(times), motion.poses_at(times), seed)
 
 
 def _stamps(times: FloatArray) -> FloatArray:

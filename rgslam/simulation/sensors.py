@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rgslam.errors import RgslamError
 from rgslam.geometry import between, compose, wrap_angle
 from rgslam.simulation.building import Solid, mesh_of
 from rgslam.simulation.driving import Drive
-from rgslam.simulation.world import LaserSensor, OdometrySensor
+from rgslam.simulation.ray_scene import RayScene
+from rgslam.simulation.robot import LaserSensor, OdometrySensor
 from rgslam.types import FloatArray
 
 #: Scans per call of the ray caster: some 200 000 rays, a few megabytes.
@@ -136,18 +136,7 @@ def _ray_caster(
     solids: list[Solid], height: float
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """A function from origins (..., 2) and headings (...) to exact ranges (...), inf = nothing."""
-    try:
-        import open3d as o3d
-    except (ImportError, OSError) as error:
-        raise RgslamError(
-            f"Open3D cannot be loaded ({error}): the simulator needs the system libraries "
-            f"libusb-1.0, libGL, libEGL, libX11 and libgomp"
-        ) from error
-
-    vertices, triangles = mesh_of(solids)
-    tensor = o3d.core.Tensor.from_numpy
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
+    scene = RayScene(*mesh_of(solids))
 
     def cast(origins: FloatArray, headings: FloatArray) -> FloatArray:
         rays = np.zeros((*headings.shape, 6), np.float32)
@@ -155,6 +144,6 @@ def _ray_caster(
         rays[..., 2] = height
         rays[..., 3] = np.cos(headings)
         rays[..., 4] = np.sin(headings)
-        return scene.cast_rays(tensor(rays))["t_hit"].numpy().astype(np.float64)
+        return scene.cast(rays)[0].astype(np.float64)
 
     return cast

@@ -11,24 +11,43 @@ from __future__ import annotations
 from enum import Enum
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from rgslam.errors import WorldError
+from rgslam.simulation.robot import Part, Point, Route, Sensors
 from rgslam.types import GatewayClass, RegionClass
 
-Point = tuple[float, float]
-
 #: The worlds that come with the package.
-BUILT_IN_WORLDS = ("office", "hallway_loop")
+BUILT_IN_WORLDS = ("office", "hallway_loop", "lobby", "museum")
+
+#: Share of the light that a surface returns: 0 black, 1 white.
+Tone = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class Part(BaseModel):
-    """Base of every part of a world: immutable, and a misspelt key is an error."""
+class Surface(Enum):
+    """What a thing is covered with: how it looks, not where it is."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    PLAIN = "plain"  # paint or laminate, next to no texture
+    WOOD = "wood"  # veneer with faint grain
+    METAL = "metal"  # sheet with faint brushing
+    CLOTH = "cloth"
+    PRINT = "print"  # paper with a heading, lines of text and a picture
+    PICTURE = "picture"  # a painting
+    BOARD = "board"  # whiteboard with what is left of some writing
+    GLASS = "glass"  # dark and smooth, such as a screen that is off
+    FRONT = "front"  # cabinet doors with handles
+    SHELF = "shelf"  # boards with books
+
+
+class FloorSurface(Enum):
+    """What covers the floor."""
+
+    CARPET = "carpet"
+    STONE = "stone"  # speckled slabs
+    PLANKS = "planks"
 
 
 class DoorState(Enum):
@@ -46,6 +65,7 @@ class Wall(Part):
     closed: bool = False  # joins the last point to the first
     thickness: float = Field(0.12, gt=0.0)  # m
     height: float = Field(2.6, gt=0.0)  # m
+    tone: Tone = 0.75
 
 
 class Door(Part):
@@ -59,6 +79,17 @@ class Door(Part):
     ajar_deg: float = Field(20.0, gt=0.0, lt=90.0)
     leaf_thickness: float = Field(0.04, gt=0.0)  # m
     height: float = Field(2.1, gt=0.0)  # m
+    surface: Surface = Surface.WOOD  # of the leaf; both its faces are rectangles
+    tone: Tone = 0.35
+
+
+class Window(Part):
+    """A pane in a wall. Light comes in; the laser, where it meets the pane, is reflected."""
+
+    name: str
+    posts: tuple[Point, Point]  # on the wall's centre line
+    sill: float = Field(0.9, ge=0.0)  # m above the floor
+    height: float = Field(1.3, gt=0.0)  # m, of the opening
 
 
 class Passage(Part):
@@ -77,8 +108,33 @@ class Area(Part):
     polygon: list[Point] = Field(min_length=3)
 
 
+class Mount(Enum):
+    """How a rectangle is fixed."""
+
+    WALL = "wall"  # on the face of the wall, or of what else is there, behind `at`
+    FREE = "free"  # exactly at `at`, with a back of its own
+
+
+class Rectangle(Part):
+    """A flat rectangular thing: whiteboard, poster, picture, monitor, sign."""
+
+    name: str
+    label: str = "poster"  # what it is
+    size: tuple[Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]]  # m, wide, high
+    at: Point  # its middle in plan; on a wall: a point up to 0.5 m before the wall
+    centre_height: float = Field(1.5, ge=0.0)  # m, its middle above the floor
+    facing_deg: float  # direction in plan that it looks in, from x counter-clockwise
+    tilt_deg: float = Field(0.0, gt=-80.0, lt=80.0)  # that it looks upwards
+    mount: Mount = Mount.WALL
+    depth: float = Field(0.005, gt=0.0, le=0.2)  # m, how far it stands out
+    surface: Surface = Surface.PRINT
+    tone: Tone = 0.8
+    border: float = Field(0.0, ge=0.0)  # m, width of a frame around it, within its size
+    border_tone: Tone = 0.2
+
+
 class Box(Part):
-    """A piece of furniture, or a pillar."""
+    """A piece of furniture, or a pillar: a cuboid. Its faces are rectangles of the truth."""
 
     name: str
     centre: Point
@@ -86,71 +142,19 @@ class Box(Part):
     yaw_deg: float = 0.0
     bottom: float = Field(0.0, ge=0.0)  # m above the floor
     height: float = Field(0.75, gt=0.0)  # m, from bottom to top
+    label: str = "box"  # what it is, and what its faces are called
+    surface: Surface = Surface.WOOD  # of its longer sides; the others are plain
+    tone: Tone = 0.45
 
 
-class WayPoint(Part):
-    """A corner of the route; the speed holds on the way to it."""
+class Lighting(Part):
+    """Lamps in the ceiling of every area, and daylight through the windows."""
 
-    at: Point
-    speed: float | None = Field(None, gt=0.0)  # m/s; the route's speed when left out
-
-
-def _as_way_point(value: Any) -> Any:
-    return {"at": value} if isinstance(value, (list, tuple)) else value
-
-
-class Route(Part):
-    """Where the robot drives, and how briskly (a differential drive)."""
-
-    way_points: list[Annotated[WayPoint, BeforeValidator(_as_way_point)]] = Field(min_length=2)
-    speed: float = Field(0.5, gt=0.0)  # m/s
-    rest: float = Field(1.0, ge=0.0)  # s, standing still before the start
-    max_turn_rate: float = Field(0.8, gt=0.0)  # rad/s
-    max_acceleration: float = Field(0.5, gt=0.0)  # m/s^2
-    max_turn_acceleration: float = Field(2.0, gt=0.0)  # rad/s^2
-    robot_radius: float = Field(0.25, gt=0.0)  # m, circle around the base
-
-
-class LaserSensor(Part):
-    """A planar range finder."""
-
-    beams: int = Field(361, ge=2)
-    fov_deg: float = Field(180.0, gt=0.0, le=360.0)
-    rate: float = Field(10.0, gt=0.0)  # Hz
-    noise: float = Field(0.012, ge=0.0)  # m, standard deviation of a range
-    quantum: float = Field(0.01, ge=0.0)  # m, step of the ranges; 0 = none
-    max_range: float = Field(30.0, gt=0.0)  # m; beyond it there is no return
-    dropout: float = Field(0.001, ge=0.0, lt=1.0)  # share of beams without a return
-    sweep: float = Field(0.0, ge=0.0)  # s from the first beam to the last; 0 = all at once
-    bTl: tuple[float, float, float] = (0.1, 0.0, 0.0)  # mounting on the robot: m, m, rad
-    height: float = Field(0.3, ge=0.0)  # m above the floor
-
-
-class OdometrySensor(Part):
-    """Wheel odometry: a random walk, scale errors that last the whole run, and slips.
-
-    The variance of a random walk grows with the way, so the drift does not depend on the rate.
-    """
-
-    rate: float = Field(20.0, gt=0.0)  # Hz
-    turn_per_turn: float = Field(0.02, ge=0.0)  # rad per sqrt(rad) turned
-    turn_per_metre: float = Field(0.01, ge=0.0)  # rad per sqrt(m) travelled
-    travel_per_metre: float = Field(0.02, ge=0.0)  # m per sqrt(m) travelled
-    travel_per_turn: float = Field(0.01, ge=0.0)  # m per sqrt(rad) turned
-    travel_scale: float = Field(0.01, ge=0.0)  # sigma of the relative error of lengths
-    turn_scale: float = Field(0.015, ge=0.0)  # sigma of the relative error of angles
-    veer: float = Field(0.003, ge=0.0)  # rad/m, sigma of a constant pull to one side
-    slips_per_metre: float = Field(0.02, ge=0.0)  # rate of wheel slips
-    slip_travel: float = Field(0.05, ge=0.0)  # m, sigma of what a slip adds
-    slip_turn: float = Field(0.06, ge=0.0)  # rad, sigma of what a slip adds
-    slip_duration: float = Field(0.25, gt=0.0)  # s
-
-
-class Sensors(Part):
-    """What the robot carries."""
-
-    laser: LaserSensor = LaserSensor()
-    odometry: OdometrySensor = OdometrySensor()
+    lamp_size: tuple[float, float] = (1.2, 0.3)  # m
+    lamp_spacing: float = Field(2.6, gt=0.5)  # m, about; every area has at least one lamp
+    lamps: Tone = 0.8  # brightness of the lamps' light
+    daylight: Tone = 0.7  # brightness of the windows
+    ambient: Tone = 0.05  # light that comes from everywhere
 
 
 class World(Part):
@@ -159,10 +163,14 @@ class World(Part):
     name: str
     description: str = ""
     walls: list[Wall] = Field(min_length=1)
-    doors: list[Door] = []
-    passages: list[Passage] = []
-    areas: list[Area] = []
-    furniture: list[Box] = []
+    doors: list[Door] = Field([])
+    passages: list[Passage] = Field([])
+    windows: list[Window] = Field([])
+    areas: list[Area] = Field([])
+    rectangles: list[Rectangle] = Field([])
+    furniture: list[Box] = Field([])
+    floor: FloorSurface = FloorSurface.CARPET
+    lighting: Lighting = Lighting()
     route: Route
     sensors: Sensors = Sensors()
 
@@ -189,8 +197,27 @@ class World(Part):
         """
         if name not in BUILT_IN_WORLDS:
             raise WorldError(f"{name!r} is no built-in world ({', '.join(BUILT_IN_WORLDS)})")
-        file = resources.files("rgslam.simulation") / "worlds" / f"{name}.yaml"
-        return cls._parse(file.read_text(encoding="utf-8"), f"{name}.yaml")
+        # One source: a checkout reads datasets/worlds, a wheel carries its copy
+        checkout = Path(__file__).resolve().parents[2] / "datasets" / "worlds" / f"{name}.yaml"
+        if checkout.is_file():
+            return cls.from_yaml(checkout)
+        copy = resources.files("rgslam") / "worlds" / f"{name}.yaml"
+        return cls._parse(copy.read_text(encoding="utf-8"), f"{name}.yaml")
+
+    @classmethod
+    def find(cls, name_or_path: Path | str) -> World:
+        """A built-in world by its name, or the world of a file.
+
+        Raises:
+            WorldError: neither, or as `from_yaml`.
+        """
+        if str(name_or_path) in BUILT_IN_WORLDS:
+            return cls.built_in(str(name_or_path))
+        path = Path(name_or_path)
+        if not path.suffix and not path.exists():
+            known = ", ".join(BUILT_IN_WORLDS)
+            raise WorldError(f"{name_or_path}: no such file, and no built-in world ({known})")
+        return cls.from_yaml(path)
 
     @classmethod
     def _parse(cls, text: str, source: str) -> World:

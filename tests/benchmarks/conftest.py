@@ -42,10 +42,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 @pytest.fixture(scope="session")
 def office_run() -> SimulatedRecording:
     """Five minutes through the built-in office."""
-    return simulate(World.built_in("office"), seed=1)
+    return simulate(World.built_in("office"), seed=1, stereo=False)
 
 
 @pytest.fixture(scope="session")
 def hallway_run() -> SimulatedRecording:
     """A lap and a quarter of the hallway with look-alike doors: a loop of 108 m to close."""
-    return simulate(World.built_in("hallway_loop"), seed=1)
+    return simulate(World.built_in("hallway_loop"), seed=1, stereo=False)
