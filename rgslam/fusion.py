@@ -37,6 +37,7 @@ from rgslam.factor_graph.joint_graph import (
     planar,
     spatial,
 )
+from rgslam.factor_graph.rectangle_shape import rectangle_axes
 from rgslam.factor_graph.stereo_corners import stereo_corners
 from rgslam.geometry import adjoint, adjoints, between, compose, inverse
 from rgslam.loop_closing.uncertainty import EdgeTable
@@ -365,13 +366,7 @@ def _at_estimate(
 
 def state_of(corners: FloatArray, covariance: FloatArray) -> RectangleState:
     """The rectangle with these corners (4, 3), counter-clockwise from the lower left."""
-    width = corners[1] - corners[0] + corners[2] - corners[3]
-    height = corners[3] - corners[0] + corners[2] - corners[1]
-    x = width / np.linalg.norm(width)
-    z = np.cross(x, height)
-    z /= np.linalg.norm(z)
     wTr = np.eye(4)
-    wTr[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    wTr[:3, :3], size = rectangle_axes(corners)
     wTr[:3, 3] = corners.mean(axis=0)
-    size = 0.5 * np.array([np.linalg.norm(width), np.linalg.norm(height)])
     return RectangleState(wTr, size, covariance)

@@ -63,6 +63,26 @@ def plane_errors(
     return errors, by_pose, by_plane, by_corners
 
 
+def nearest_rectangle(corners: FloatArray) -> FloatArray:
+    """Corners (4, 3) of a rectangle as near as can be to four points in order around."""
+    axes, size = rectangle_axes(corners)
+    side = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return corners.mean(axis=0) + (0.5 * side * size) @ axes[:, :2].T
+
+
+def rectangle_axes(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotation (3, 3), and width and height (2,), of the rectangle nearest to four points.
+
+    Both sides give way alike where they are not at right angles.
+    """
+    width = corners[1] - corners[0] + corners[2] - corners[3]
+    height = corners[3] - corners[0] + corners[2] - corners[1]
+    size = 0.5 * np.array([np.linalg.norm(width), np.linalg.norm(height)])
+    u, _, vt = np.linalg.svd(np.column_stack([width, height]) / size, full_matrices=False)
+    plane = u @ vt
+    return np.column_stack([plane, np.cross(plane[:, 0], plane[:, 1])]), size
+
+
 def shape_factor(corner_keys: Sequence[int], sigma: float) -> gtsam.CustomFactor:
     """Holds four points to a rectangle to within `sigma` (m)."""
 
