@@ -92,7 +92,7 @@ def fuse_landmarks(
     tracks: list[Track] = []
     start = keyframes
     for _ in range(_PASSES):
-        poses = [_frame_pose(frame, start) for frame in frames]
+        poses = [frame_pose(frame, start[frame.keyframe]) for frame in frames]
         shared = [*edges, *covisibility_edges(frames, poses, tracks, start)]
         association = associate(frames, poses, start, shared, config)
         counts = association.counts
@@ -138,11 +138,8 @@ def associate(
     for f, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
         if not frame.observations.rectangles:
             continue
-        # Known is the spread of the others seen from here: turned into that of here seen from them
-        others = table.relative_covariances(pose.keyframe, len(keyframes))
-        A = adjoints(between(pose.wTb, keyframes))
-        relative = A @ others @ A.transpose(0, 2, 1) + pose.covariance
-        association.add_frame(pose, _sights(f, frame, pose), relative)
+        relative = seen_from(table, pose, keyframes)
+        association.add_frame(pose, sights_of(f, frame, pose), relative)
     return association
 
 
@@ -176,17 +173,27 @@ def covisibility_edges(
     return edges
 
 
-def _frame_pose(frame: PlacedFrame, keyframes: FloatArray) -> FramePose:
+def frame_pose(frame: PlacedFrame, keyframe: FloatArray) -> FramePose:
+    """Where a frame was taken, by the pose (3,) of its keyframe."""
     return FramePose(
         frame.keyframe,
-        compose(keyframes[frame.keyframe], frame.kTb),
+        compose(keyframe, frame.kTb),
         frame.covariance,
         frame.observations.camera,
         frame.observations.bTc,
     )
 
 
-def _sights(number: int, frame: PlacedFrame, pose: FramePose) -> list[Sight]:
+def seen_from(table: EdgeTable, pose: FramePose, keyframes: FloatArray) -> FloatArray:
+    """Covariance (K, 3, 3) of a frame's pose relative to each keyframe, tangent at the frame."""
+    # Known is the spread of the others seen from here: turned into that of here seen from them
+    others = table.relative_covariances(pose.keyframe, len(keyframes))
+    A = adjoints(between(pose.wTb, keyframes))
+    return np.asarray(A @ others @ A.transpose(0, 2, 1) + pose.covariance)
+
+
+def sights_of(number: int, frame: PlacedFrame, pose: FramePose) -> list[Sight]:
+    """The rectangles of frame `number`, placed in the world by a pose."""
     found = []
     for i, rectangle in enumerate(frame.observations.rectangles):
         cTr = np.eye(4)
@@ -294,8 +301,7 @@ def _landmark(
     poses: Sequence[FramePose],
 ) -> Landmark:
     state = state_of(found.corners, np.zeros((8, 8)))
-    inverse_slopes = np.linalg.pinv(state.corner_slopes)
-    covariance = inverse_slopes @ found.covariance @ inverse_slopes.T
+    covariance = state_covariance(state, found.covariance)
     blocks = np.array([found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(4)])
     history = size_history(state, track, frames, poses)
     final = np.sqrt(np.diagonal(covariance)[6:])
@@ -362,6 +368,12 @@ def _at_estimate(
     A = adjoint(inverse(between(planar(values.atPose3(keyframe_key(pose.keyframe))), wTb)))
     spread = A @ keyframe_covariances[pose.keyframe] @ A.T + pose.covariance
     return replace(pose, wTb=wTb, covariance=spread)
+
+
+def state_covariance(state: RectangleState, corners: FloatArray) -> FloatArray:
+    """Covariance (8, 8) of pose and size from that of the corners (12, 12)."""
+    inverse_slopes = np.linalg.pinv(state.corner_slopes)
+    return np.asarray(inverse_slopes @ corners @ inverse_slopes.T)
 
 
 def state_of(corners: FloatArray, covariance: FloatArray) -> RectangleState:

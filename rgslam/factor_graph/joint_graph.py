@@ -36,7 +36,7 @@ from rgslam.types import EdgeKind, FloatArray, PoseEdge
 _GAUGE_SIGMA = 1e-6  # m, rad
 #: A direction nothing is known of: sigma in m or rad, small enough for double precision.
 _UNKNOWN = 1e3
-#: m, what four corners may be off a rectangle: what a carpenter would not see. While the estimate is
+#: m, what four corners may be off a rectangle: what no carpenter sees. While the estimate is
 #: still far off, a hundred times as much: a stiff constraint that is not linear takes short steps.
 _SHAPE_SIGMA, _SOFT_SHAPE_SIGMA = 5e-4, 5e-2
 #: Where x, y and theta of a planar pose stand among the six of a spatial one (rotation first).
@@ -127,9 +127,15 @@ class JointGraph:
             noise = gtsam.noiseModel.Robust.Create(self._loop_kernel, noise)
         self._measured.add(gtsam.BetweenFactorPose3(i, j, iTj, noise))
 
-    def add_edges(self, edges: Iterable[PoseEdge]) -> None:
-        """Planar relative poses between keyframes; loops get a robust kernel."""
+    def add_edges(self, edges: Iterable[PoseEdge]) -> list[int]:
+        """Planar relative poses between keyframes; loops get a robust kernel.
+
+        Returns:
+            The place of each among `factors`.
+        """
+        places = []
         for edge in edges:
+            places.append(self._measured.size())
             self.add_planar(
                 keyframe_key(edge.i),
                 keyframe_key(edge.j),
@@ -137,6 +143,7 @@ class JointGraph:
                 edge.covariance,
                 robust=edge.kind is EdgeKind.LOOP,
             )
+        return places
 
     def add_planar(
         self, i: int, j: int, iTj: FloatArray, covariance: FloatArray, robust: bool = False

@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Landmarks while the run goes on: the factors of `rgslam.fusion`, solved by iSAM2.
+
+What was decided stays decided: a sight given to a track is not given to another one later, as
+`fuse_landmarks` does at the end with everything known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from rgslam.config import Config
+from rgslam.data_association import DataAssociation, RectangleState, Track
+from rgslam.factor_graph.joint_graph import (
+    JointGraph,
+    corner_keys,
+    frame_key,
+    keyframe_key,
+    planar,
+    spatial,
+)
+from rgslam.fusion import frame_pose, seen_from, sights_of, state_covariance, state_of
+from rgslam.geometry import compose
+from rgslam.loop_closing.uncertainty import EdgeTable
+from rgslam.observations import PlacedFrame
+from rgslam.types import FloatArray, PoseEdge
+
+
+class OnlineFusion:
+    """An estimate of poses and rectangles that grows with the run."""
+
+    def __init__(self, config: Config | None = None) -> None:
+        """Nothing known yet."""
+        self.config = Config() if config is None else config
+        parameters = gtsam.ISAM2Params()
+        parameters.relinearizeSkip = 1
+        parameters.setRelinearizeThreshold(0.01)
+        self._isam = gtsam.ISAM2(parameters)
+        self._association = DataAssociation(self.config.data_association)
+        self._edges: dict[int, tuple[PoseEdge, int]] = {}  # by identity: edge, place in iSAM2
+        self._table = EdgeTable()
+        self._keyframes = 0
+        self._frames: list[PlacedFrame] = []
+        self._framed: set[int] = set()  # frames with a pose variable
+        self._numbers: dict[int, int] = {}  # number of the landmark by index of its track
+        self._used: dict[int, int] = {}  # sights in the graph by index of the track
+
+    def update(
+        self,
+        keyframes: FloatArray,
+        edges: Sequence[PoseEdge],
+        frames: Sequence[PlacedFrame],
+    ) -> None:
+        """Take what is new since the last call.
+
+        Args:
+            keyframes: (K, 3), wTb of all keyframes so far, where a new one is started without an
+                edge to the one before.
+            edges: all that hold now; those that are gone are taken out.
+            frames: all so far, in the order of the run.
+        """
+        self._add_keyframes(keyframes, edges)
+        for number in range(len(self._frames), len(frames)):
+            self._add_frame(number, frames[number])
+
+    def landmarks(self) -> tuple[RectangleState, ...]:
+        """The rectangles seen often enough, in the order in which they were."""
+        return tuple(self._state(number) for number in range(len(self._numbers)))
+
+    def keyframes(self) -> FloatArray:
+        """Poses (K, 3) of the keyframes, wTb."""
+        return np.array([self._keyframe(k) for k in range(self._keyframes)]).reshape(-1, 3)
+
+    # --- Pieces --------------------------------------------------------------------------------
+
+    def _add_keyframes(self, keyframes: FloatArray, edges: Sequence[PoseEdge]) -> None:
+        present = {id(edge) for edge in edges}
+        new = [edge for edge in edges if id(edge) not in self._edges]
+        gone = [key for key in self._edges if key not in present]
+        steps = {edge.j: edge for edge in new if edge.i == edge.j - 1}
+        graph = JointGraph(self.config.factor_graph)
+        poses: dict[int, FloatArray] = {}
+        for k in range(self._keyframes, len(keyframes)):
+            poses[k] = keyframes[k]
+            if k in steps and k > 0:
+                before = poses[k - 1] if k - 1 in poses else self._keyframe(k - 1)
+                poses[k] = compose(before, steps[k].iTj)
+            graph.add_pose(keyframe_key(k), spatial(poses[k]))
+            if k == 0:
+                graph.fix(keyframe_key(0))
+        places = graph.add_edges(new)
+        if not poses and not new and not gone:
+            return
+        result = self._isam.update(
+            graph.factors, graph.initial, [self._edges[key][1] for key in gone]
+        )
+        indices = result.getNewFactorsIndices()
+        for key in gone:
+            del self._edges[key]
+        self._edges.update(
+            {id(edge): (edge, indices[place]) for edge, place in zip(new, places, strict=True)}
+        )
+        self._keyframes = len(keyframes)
+        if gone:
+            self._table = EdgeTable()
+            new = [edge for edge, _ in self._edges.values()]
+        self._table.add(new)
+
+    def _add_frame(self, number: int, frame: PlacedFrame) -> None:
+        self._frames.append(frame)
+        if not frame.observations.rectangles:
+            return
+        at = self._keyframe(frame.keyframe)
+        pose = frame_pose(frame, at)
+        relative = seen_from(self._table, pose, self.keyframes())
+        sights = sights_of(number, frame, pose)
+        given = self._association.add_frame(pose, sights, relative)
+        graph = JointGraph(self.config.factor_graph)
+        for index in sorted(set(given.values())):
+            track = self._association.tracks[index]
+            if len(track.sights) < self.config.data_association.min_sights:
+                continue
+            if index not in self._numbers:
+                self._numbers[index] = len(self._numbers)
+                graph.add_rectangle(self._numbers[index], track.state.corners)
+            self._add_sights(graph, index, track)
+        if graph.factors.size():
+            self._isam.update(graph.factors, graph.initial)
+        for index in given.values():
+            if index in self._numbers:
+                state = self._association.tracks[index].state
+                corners = self._corners(self._numbers[index])
+                self._association.tracks[index].state = state_of(corners, state.covariance)
+
+    def _add_sights(self, graph: JointGraph, index: int, track: Track) -> None:
+        """The sights of a track that the graph does not hold yet, with their frames."""
+        start = self._used.get(index, 0)
+        for sight, turns in zip(track.sights[start:], track.turns[start:], strict=True):
+            frame = self._frames[sight.frame]
+            if sight.frame not in self._framed:
+                self._framed.add(sight.frame)
+                wTb = compose(self._keyframe(frame.keyframe), frame.kTb)
+                graph.add_pose(frame_key(sight.frame), spatial(wTb))
+                ends = keyframe_key(frame.keyframe), frame_key(sight.frame)
+                graph.add_planar(*ends, frame.kTb, frame.covariance)
+            graph.add_sight(
+                frame_key(sight.frame),
+                self._numbers[index],
+                sight.corners.turned(turns),
+                frame.observations.camera,
+                frame.observations.bTc,
+            )
+        self._used[index] = len(track.sights)
+
+    def _keyframe(self, k: int) -> FloatArray:
+        return planar(self._isam.calculateEstimatePose3(keyframe_key(k)))
+
+    def _corners(self, number: int) -> FloatArray:
+        return np.array([self._isam.calculateEstimatePoint3(key) for key in corner_keys(number)])
+
+    def _state(self, number: int) -> RectangleState:
+        joint = self._isam.jointMarginalCovariance(corner_keys(number))
+        keys = corner_keys(number)
+        spread = np.block([[joint.at(a, b) for b in keys] for a in keys])
+        state = state_of(self._corners(number), np.zeros((8, 8)))
+        return state_of(self._corners(number), state_covariance(state, spread))
