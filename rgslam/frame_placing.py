@@ -10,6 +10,7 @@ spread over the way.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,6 +88,11 @@ class FramePlacer:
         """The newest scan is the keyframe of that number."""
         end, _ = self._scans[-1]
         self._scans[-1] = (end, end.as_keyframe(number))
+
+    @property
+    def placed(self) -> Sequence[PlacedFrame]:
+        """The frames that have their final place relative to their keyframe."""
+        return self._placed
 
     def frames(self) -> list[PlacedFrame]:
         """All frames so far; those at the end of the run are placed by what came before them."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from rgslam import __version__
 from rgslam.config import Config
+from rgslam.data_association import RectangleState
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
 from rgslam.frame_placing import FramePlacer, ScanPlace
@@ -28,6 +29,7 @@ from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
 from rgslam.observations import FrameObservations, observe_frame
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
+from rgslam.online_fusion import OnlineFusion
 from rgslam.regions import segment_grid
 from rgslam.rg_map import RGMap, RunInfo
 from rgslam.scan_matching import SURFACE, LaserGeometry, ScanPoints, ScanStore, scan_points
@@ -99,6 +101,7 @@ class Mapper:
         self._keyframe_scans: list[int] = []
         self._keyframe_path: list[float] = []
         self._poses = np.empty((0, 3))  # wTb of the keyframes
+        self._online: OnlineFusion | None = None
         self._wTb = np.zeros(3)
         self._last: tuple[LaserScan, FloatArray | None] | None = None
         self._velocity = np.zeros(3)  # motion of the last step, (3,), and its duration
@@ -306,6 +309,17 @@ class Mapper:
             self._poses = self._graph.optimise(before, convex_start, tolerance)
         self._wTb = compose(self._poses[-1], self._track.kTb[-1])
         self._unsettled = 0
+
+    def landmarks(self) -> tuple[RectangleState, ...]:
+        """The rectangles seen often enough so far, by iSAM2.
+
+        Asked again, only what came since is added: cheap at any time of the run. `map` knows a
+        little more, as it looks at all sights again.
+        """
+        if self._online is None:
+            self._online = OnlineFusion(self.config)
+        self._online.update(self._poses, self._graph.edges, self._frames.placed)
+        return self._online.landmarks()
 
     # --- The map so far ------------------------------------------------------------------------
 

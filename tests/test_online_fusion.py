@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""iSAM2, message by message, ends where the batch does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from door_runs import DoorRun, door_run
+
+from rgslam.fusion import Fusion, fuse_landmarks
+from rgslam.online_fusion import OnlineFusion
+from rgslam.types import EdgeKind, PoseEdge
+
+
+@pytest.fixture(scope="module")
+def results() -> tuple[DoorRun, Fusion, OnlineFusion]:
+    """Little drift: no sight is ambiguous on the way, so both use the same ones."""
+    run = door_run(3, length=7.5, drift=0.3)
+    online = OnlineFusion()
+    for k in range(len(run.keyframes)):
+        online.update(run.keyframes[: k + 1], run.edges[:k], run.frames[: k + 1])
+    return run, fuse_landmarks(run.keyframes, run.edges, run.frames), online
+
+
+def test_both_end_in_the_same_landmarks(results) -> None:
+    _, batch, online = results
+    found = online.landmarks()
+    assert len(found) == len(batch.landmarks) > 5
+    for landmark in batch.landmarks:
+        nearest = min(found, key=lambda s: float(np.abs(s.corners - landmark.state.corners).max()))
+        assert np.abs(nearest.corners - landmark.state.corners).max() < 1e-3
+        turn = nearest.wTr[:3, :3].T @ landmark.state.wTr[:3, :3]
+        assert np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))) < 0.05
+        np.testing.assert_allclose(
+            np.sqrt(np.diagonal(nearest.covariance)),
+            np.sqrt(np.diagonal(landmark.state.covariance)),
+            rtol=0.05,
+        )
+
+
+def test_both_end_in_the_same_poses(results) -> None:
+    _, batch, online = results
+    np.testing.assert_allclose(online.keyframes(), batch.keyframes, atol=1e-3)
+
+
+def test_an_edge_that_is_taken_back_loses_its_pull() -> None:
+    run = door_run(4, length=5.0, drift=0.1)
+    wrong = PoseEdge(0, 15, np.array([0.0, 3.0, 1.0]), 1e-6 * np.eye(3), EdgeKind.MATCH)
+    online = OnlineFusion()
+    frames = run.frames[:20]
+    online.update(run.keyframes[:20], [*run.edges[:19], wrong], [])
+    bent = online.keyframes()
+    online.update(run.keyframes[:20], run.edges[:19], frames)
+    straight = online.keyframes()
+    expected = fuse_landmarks(run.keyframes[:20], run.edges[:19], frames).keyframes
+    assert np.abs(bent - expected).max() > 0.3
+    np.testing.assert_allclose(straight, expected, atol=2e-3)
+
+
+def test_nothing_seen_is_no_landmark() -> None:
+    online = OnlineFusion()
+    online.update(np.zeros((1, 3)), [], [])
+    assert online.landmarks() == ()
