@@ -301,24 +301,22 @@ def rectangles(
       rgslam rectangles left.png right.png --calibration stereo.yml --out out/pair
     """
     from rgslam.config import Config
+    from rgslam.rectangles.overlay import size_texts
     from rgslam.rectangles.pair_files import detect_in_files, write_pair_result
 
     settings = None if config is None else Config.from_yaml(config)
     result = detect_in_files(left, right, calibration, unit, settings)
     write_pair_result(result, out)
     for index, found in enumerate(result.detection.rectangles):
-        size, sigma = 100.0 * found.size, 100.0 * found.size_sigma
+        size = " ".join(size_texts(found.size, found.size_sigma))
         typer.echo(
-            f"{index}: {size[0]:.1f} ± {sigma[0]:.1f} × {size[1]:.1f} ± {sigma[1]:.1f} cm, "
-            f"{found.translation[2]:.2f} m away, probability {found.probability:.2f}"
+            f"{index}: {size}, {found.translation[2]:.2f} m away, "
+            f"probability {found.probability:.2f}"
         )
     for index, cuboid in enumerate(result.cuboids):
-        sides = " × ".join(
-            f"{100 * size:.1f} ± {100 * sigma:.1f}"
-            for size, sigma in zip(cuboid.size, cuboid.size_sigma, strict=True)
-        )
+        size = " ".join(size_texts(cuboid.size, cuboid.size_sigma))
         members = ", ".join(str(face.rectangle) for face in cuboid.faces)
-        typer.echo(f"cuboid {index}: {sides} cm, of rectangles {members}")
+        typer.echo(f"cuboid {index}: {size}, of rectangles {members}")
     counts = {"rectangle": len(result.detection.rectangles), "cuboid": len(result.cuboids)}
     found_text = ", ".join(f"{n} {name}{'' if n == 1 else 's'}" for name, n in counts.items())
     typer.echo(f"{found_text} written to {out}")
