@@ -19,7 +19,7 @@ from rgslam.config import Config
 from rgslam.data_association import RectangleState
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
-from rgslam.frame_placing import FramePlacer, ScanPlace
+from rgslam.frame_placing import HORIZON, FramePlacer, ScanPlace
 from rgslam.fusion import Landmark, fuse_landmarks
 from rgslam.gateways import detect_crossings
 from rgslam.geometry import adjoint, between, compose, inverse
@@ -436,6 +436,11 @@ class Mapper:
             lines.append(
                 f"{len(track.odd_geometry)} scans have other beams than the first one and are not "
                 f"matched (first: record {track.odd_geometry[0]})"
+            )
+        if self._frames.left_out:
+            lines.append(
+                f"{len(self._frames.left_out)} stereo pairs are more than {HORIZON:g} s from every "
+                f"scan, or come later, and are left out (first: record {self._frames.left_out[0]})"
             )
         if self._odometry.ignored and self._odometry.waited:
             lines.append(

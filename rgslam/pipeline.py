@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Protocol
 
 from rgslam.config import Config
 from rgslam.mapper import Mapper
+from rgslam.observation_pool import observe_messages
+from rgslam.observations import FrameObservations
 from rgslam.rg_map import RGMap
 from rgslam.stage_clock import StageClock
 from rgslam.types import LaserScan, Message, ProgressCallback
@@ -43,14 +46,19 @@ def build_map(
     config: Config | None = None,
     progress: ProgressCallback | None = None,
     stop: Callable[[], bool] | None = None,
+    workers: int | None = None,
 ) -> RGMap:
     """Map a recorded run.
+
+    The rectangles of stereo pairs are found in processes of their own, which changes no result.
 
     Args:
         recording: from `rgslam.open_recording`, or anything that yields messages.
         config: the configuration, or None for the default.
         progress: called with (stage, items done, items in all or None).
-        stop: asked between scans; True ends the reading and maps what has been read.
+        stop: asked between messages; True ends the reading and maps what has been read.
+        workers: number of processes for stereo pairs; 0 finds all rectangles in this one. None: one
+            less than the cores that may be used.
 
     Returns:
         The map, with a pose for every scan that was read.
@@ -61,7 +69,7 @@ def build_map(
     clock = StageClock()
     mapper = Mapper(config, clock)
     started = time.perf_counter()
-    partial = _read(recording, mapper, progress, stop)
+    partial = _read(recording, mapper, progress, stop, workers)
     staged = sum(clock.seconds().values())
     clock.add("reading", time.perf_counter() - started - staged)
     return mapper.map(recording.path.name, tuple(recording.warnings), partial, progress)
@@ -72,19 +80,25 @@ def _read(
     mapper: Mapper,
     progress: ProgressCallback | None,
     stop: Callable[[], bool] | None,
+    workers: int | None,
 ) -> bool:
     """Feed the messages to the mapper; True when it was stopped before the end."""
-    scans, told = 0, time.perf_counter()
-    for message in recording.messages():
-        mapper.add(message)
-        if not isinstance(message, LaserScan):
-            continue
-        scans += 1
-        if stop is not None and stop():
-            return True
-        if progress is not None and time.perf_counter() - told > _TELL_EVERY:
-            progress("scans", scans, recording.scan_count)
-            told = time.perf_counter()
-    if progress is not None:
-        progress("scans", scans, scans)
+    scans, pairs, told = 0, 0, time.perf_counter()
+    tell = progress or (lambda stage, done, total: None)
+    stream = observe_messages(recording.messages(), mapper.config, workers, mapper.clock)
+    with contextlib.closing(stream):  # ends the processes also on Ctrl-C
+        for message in stream:
+            mapper.add(message)
+            scans += isinstance(message, LaserScan)
+            pairs += isinstance(message, FrameObservations)
+            if stop is not None and stop():
+                return True
+            if time.perf_counter() - told > _TELL_EVERY:
+                tell("scans", scans, recording.scan_count)
+                if pairs:
+                    tell("stereo pairs", pairs, None)
+                told = time.perf_counter()
+    tell("scans", scans, scans)
+    if pairs:
+        tell("stereo pairs", pairs, pairs)
     return False

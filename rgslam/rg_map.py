@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The RG map: everything that one run yields, and the folder it is kept in.
 
-A map folder holds `rgmap.json`, `trajectory.txt`, `keyframes.csv`, `graph.g2o`, `map.pgm` and
-`map.yaml`, `config.yaml` and `run.json`, from which the map is read back (see `rgslam.map_json`,
-`rgslam.map_files` and `rgslam.export` for what is printed how finely), and `map.png` and
-`report.html` for people.
+A map folder holds `rgmap.json`, `observations.json`, `trajectory.txt`, `keyframes.csv`,
+`graph.g2o`, `map.pgm` and `map.yaml`, `config.yaml` and `run.json`, from which the map is read back
+(see `rgslam.map_json`, `rgslam.observation_file`, `rgslam.map_files` and `rgslam.export` for what
+is printed how finely), and `map.png` and `report.html` for people.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from rgslam.map_files import (
 )
 from rgslam.map_folder import check_replaceable, write_folder
 from rgslam.map_json import decode_rg_map, encode_rg_map
+from rgslam.observation_file import decode_observations, encode_observations
 from rgslam.observations import PlacedFrame
 from rgslam.types import (
     Cuboid,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 MAP_FILES = frozenset(
     {
         "rgmap.json",
+        "observations.json",
         "trajectory.txt",
         "keyframes.csv",
         "graph.g2o",
@@ -177,6 +179,7 @@ class RGMap:
 
         image, settings = encode_grid(self.grid, "map.pgm")
         return {
+            "observations.json": encode_observations(self.frames),
             "rgmap.json": encode_rg_map(self.regions, self.gateways, self.rectangles, self.cuboids),
             "trajectory.txt": encode_trajectory(self.trajectory),
             "keyframes.csv": encode_keyframes(self.keyframes),
@@ -204,9 +207,15 @@ def load_map(folder: Path | str) -> RGMap:
     if not folder.is_dir():
         raise MapError(f"{folder}: is no folder")
     document = decode_rg_map(*_read(folder, "rgmap.json"))
+    frames = decode_observations(*_read(folder, "observations.json"))
     trajectory = decode_trajectory(*_read(folder, "trajectory.txt"))
     keyframes = decode_keyframes(*_read(folder, "keyframes.csv"))
     _check_scans(keyframes, trajectory, folder / "keyframes.csv")
+    for frame in frames:
+        if not 0 <= frame.keyframe < len(keyframes.stamps):
+            raise MapError(
+                f"{folder / 'observations.json'}: keyframe {frame.keyframe} is not in keyframes.csv"
+            )
     return RGMap(
         regions=document["regions"],
         gateways=document["gateways"],
@@ -216,6 +225,7 @@ def load_map(folder: Path | str) -> RGMap:
         grid=read_grid(folder / "map.yaml"),
         config=_read_config(folder / "config.yaml"),
         run=_decode_run(*_read(folder, "run.json")),
+        frames=frames,
         rectangles=document["rectangles"],
         cuboids=document["cuboids"],
     )

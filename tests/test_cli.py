@@ -152,7 +152,7 @@ def test_datasets(tmp_path: Path) -> None:
 def test_an_error_of_ours_keeps_its_traceback(tmp_path: Path, tiny_log: Path) -> None:
     code = (
         "import sys, rgslam.recording_check as m, rgslam.cli\n"
-        "m.check_recording = lambda path: 1 / 0\n"
+        "m.check_recording = lambda path, topics: 1 / 0\n"
         f"sys.argv = ['rgslam', 'check', {str(tiny_log)!r}]\n"
         "rgslam.cli.main()\n"
     )
