@@ -320,6 +320,10 @@ def rectangles(
     counts = {"rectangle": len(result.detection.rectangles), "cuboid": len(result.cuboids)}
     found_text = ", ".join(f"{n} {name}{'' if n == 1 else 's'}" for name, n in counts.items())
     typer.echo(f"{found_text} written to {out}")
+    refused = sorted(result.detection.rejected.items(), key=lambda item: -item[1])
+    if refused:
+        reasons = ", ".join(f"{count} × {reason.value}" for reason, count in refused)
+        typer.echo(f"hypotheses refused: {reasons}")
 
 
 @app.command()

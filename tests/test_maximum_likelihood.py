@@ -163,6 +163,49 @@ def test_order_of_the_corners_does_not_matter(yaw: float, pitch: float, order: l
     )
 
 
+@settings(max_examples=50, deadline=None)
+@given(TURNS, TURNS, st.integers(0, 2**32 - 1))
+def test_noise_moves_the_reconstruction_by_what_is_stated(
+    yaw: float, pitch: float, seed: int
+) -> None:
+    size = (1.2, 0.9)
+    corners = corners_of(pose(yaw, pitch, z=2.5), size)
+    noise = np.random.default_rng(seed).normal(0.0, np.sqrt(VARIANCE), (1, 2, 4, 2))
+    found = fit_rectangles(stereo(corners, noise), PAIR)
+    offset = found.corners[0] - corners
+    squared = np.einsum("ki,kij,kj->k", offset, np.linalg.inv(found.corner_covariances[0]), offset)
+    assert squared.max() < chi2.isf(1e-7, 3)  # 200 corners in all: one in 50,000 runs
+
+
+@settings(max_examples=25, deadline=None)
+@given(TURNS, TURNS, st.floats(-3.1, 3.1), st.integers(0, 2**32 - 1))
+def test_quarter_turn_and_mirror_of_the_camera_turn_and_mirror_the_rectangle(
+    yaw: float, pitch: float, roll: float, seed: int
+) -> None:
+    corners = corners_of(pose(yaw, pitch, roll), (0.8, 0.6))
+    px = CAMERA.project(corners)
+    px += np.random.default_rng(seed).normal(0.0, 0.1, px.shape)
+    depths = corners[:, 2]
+    plain = rgslam.reconstruct_rectangle(px, CAMERA, corner_depth=depths, depth_sigma=0.01)
+    # The image turned: x' = -y, y' = x. In the mirror: x' = -x.
+    rolled_camera = PinholeCamera(CAMERA.fy, CAMERA.fx, -CAMERA.cy, CAMERA.cx, 580, 766)
+    turned_px = np.stack([-px[:, 1], px[:, 0]], axis=1)
+    mirror_camera = PinholeCamera(CAMERA.fx, CAMERA.fy, -CAMERA.cx, CAMERA.cy, 766, 580)
+    for camera, seen, change in (
+        (rolled_camera, turned_px, np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+        (mirror_camera, px * [-1.0, 1.0], np.diag([-1.0, 1.0, 1.0])),
+    ):
+        other = rgslam.reconstruct_rectangle(
+            seen, camera, corner_depth=depths, depth_sigma=0.01, up=change @ [0.0, -1.0, 0.0]
+        )
+        # `order` leads back to the corners as given, whatever each calls its first one.
+        back, plain_back = np.empty((4, 3)), np.empty((4, 3))
+        back[other.order], plain_back[plain.order] = other.corners, plain.corners
+        np.testing.assert_allclose(back, plain_back @ change.T, atol=1e-4)
+        np.testing.assert_allclose(np.sort(other.size), np.sort(plain.size), atol=1e-4)
+        np.testing.assert_allclose(other.cost, plain.cost, atol=1e-3 * (1.0 + plain.cost))
+
+
 def nees(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     return np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors)
 

@@ -92,6 +92,28 @@ def test_unit_scales_the_result(pair: Path) -> None:
     assert doubled.size == pytest.approx(2 * metres.size, rel=1e-3)
 
 
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_colour_and_deep_images_are_read(pair: Path, tmp_path: Path, bits: int) -> None:
+    for name in ("left", "right"):
+        image = cv2.imread(str(pair / f"{name}.png"))
+        assert image is not None
+        stored = image if bits == 8 else image[..., 0].astype(np.uint16) << (bits - 8)
+        cv2.imwrite(str(tmp_path / f"{name}.png"), stored)
+    found = detect_in_files(tmp_path / "left.png", tmp_path / "right.png", pair / "calib.txt")
+    plain = detect_in_files(pair / "left.png", pair / "right.png", pair / "calib.txt")
+    assert np.array_equal(found.left, plain.left)
+    assert len(found.detection.rectangles) == 1
+
+
+def test_swapped_images_say_what_was_refused(pair: Path, tmp_path: Path) -> None:
+    arguments = ["rectangles", str(pair / "right.png"), str(pair / "left.png")]
+    arguments += ["--calibration", str(pair / "calib.txt"), "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0
+    assert "0 rectangles" in result.output
+    assert "no corner has depth" in result.output or "right image contradicts" in result.output
+
+
 def test_unreadable_image_is_said(pair: Path, tmp_path: Path) -> None:
     for name, content in (("none.png", None), ("empty.png", b""), ("text.png", b"no image")):
         path = tmp_path / name

@@ -28,8 +28,10 @@ from rgslam.rectangles.detection import DetectedRectangle, Detection, detect_rec
 from rgslam.rectangles.overlay import draw_overlay
 from rgslam.stereo.calibration import StereoCalibration, read_calibration
 from rgslam.stereo.rectification import rectification_maps, rectify_pair
+from rgslam.types import GreyImage
 
 JSON_NAME, OVERLAY_NAME = "rectangles.json", "overlay.png"
+_RawImage = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 _UP = (0.0, -1.0, 0.0)  # in c, of a camera that is held upright
 
 
@@ -65,22 +67,38 @@ def detect_in_files(
     """
     known = read_calibration(calibration, unit_m)
     maps = rectification_maps(known)
-    images = rectify_pair(_read_grey(Path(left)), _read_grey(Path(right)), maps)
+    images = rectify_pair(*_eight_bits(_read_grey(Path(left)), _read_grey(Path(right))), maps)
     found = detect_rectangles(*images, known.camera, config, maps.valid)
     view = RectangleView(found.rectangles, known.camera)
     cuboids = fuse_cuboids([view], config, up=_UP)
     return PairResult(found, known, images[0], cuboids)
 
 
-def _read_grey(path: Path) -> npt.NDArray[np.uint8]:
+def _read_grey(path: Path) -> _RawImage:
+    """A grey image as it is stored, with 8 or 16 bits; colour becomes grey."""
     try:
         content = np.frombuffer(path.read_bytes(), np.uint8)
-        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
+        wanted = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+        image = cv2.imdecode(content, wanted) if len(content) else None
     except (OSError, cv2.error) as error:
         raise RecordingError(f"{path}: {error}") from error
     if image is None:
         raise RecordingError(f"{path}: not an image that can be read")
-    return np.asarray(image, np.uint8)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise RecordingError(f"{path}: pixels of type {image.dtype}; 8 or 16 bits are needed")
+    return np.asarray(image)
+
+
+def _eight_bits(left: _RawImage, right: _RawImage) -> tuple[GreyImage, GreyImage]:
+    """Both images with 8 bits; 10, 12 or 14 of 16 bits are told from the brightest pixel."""
+    deep = [image for image in (left, right) if image.dtype != np.uint8]
+    brightest = max((int(image.max()) for image in deep), default=0)
+    shift = max(brightest.bit_length() - 8, 0)
+
+    def reduced(image: _RawImage) -> GreyImage:
+        return (image >> (shift if image.dtype == np.uint16 else 0)).astype(np.uint8)
+
+    return reduced(left), reduced(right)
 
 
 def rectangles_json(result: PairResult) -> dict[str, Any]:
