@@ -22,6 +22,8 @@ _PUBLIC = {
     "load_map": "rgslam.rg_map",
     "RGMap": "rgslam.rg_map",
     "segment_grid": "rgslam.regions",
+    "predict_scan": "rgslam.predicted_scan",
+    "LaserModel": "rgslam.predicted_scan",
     "reconstruct_rectangle": "rgslam.rectangles.reconstruct",
     "detect_rectangles": "rgslam.rectangles.detection",
     "fuse_cuboids": "rgslam.rectangles.cuboid_fusion",
@@ -61,6 +63,8 @@ if TYPE_CHECKING:
     from rgslam.loaders import open_recording as open_recording
     from rgslam.mapper import Mapper as Mapper
     from rgslam.pipeline import build_map as build_map
+    from rgslam.predicted_scan import LaserModel as LaserModel
+    from rgslam.predicted_scan import predict_scan as predict_scan
     from rgslam.recording_check import check_recording as check_recording
     from rgslam.rectangles.cuboid_fusion import RectangleView as RectangleView
     from rgslam.rectangles.cuboid_fusion import fuse_cuboids as fuse_cuboids

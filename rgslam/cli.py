@@ -359,6 +359,43 @@ def evaluate(
     print_evaluation(evaluation)
 
 
+@app.command("predict-scan")
+@_stoppable
+def predict_scan_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Map folder.")],
+    pose: Annotated[
+        tuple[float, float, float],
+        typer.Option("--pose", metavar="X Y YAW", help="Of the laser in the map: m, m, radians."),
+    ],
+    beams: Annotated[int, typer.Option("--beams", min=1, help="Number of beams.")] = 361,
+    fov: Annotated[
+        float, typer.Option("--fov", min=0.0, max=360.0, help="Field of view, degrees.")
+    ] = 180.0,
+    max_range: Annotated[
+        float, typer.Option("--max-range", min=0.0, help="Largest range that is reported, m.")
+    ] = 30.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Print the scan that a map expects at a pose.
+
+    One beam per line: angle (degrees), range and standard deviation (m), region of the wall.
+    A range of inf is beyond the reach, nan is not known.
+
+    \b
+    Example:
+      rgslam predict-scan out/intel --pose 1.5 0.2 0.0
+    """
+    from rgslam.predicted_scan import LaserModel, predict_scan
+    from rgslam.rg_map import load_map
+
+    predicted = predict_scan(load_map(folder), pose, LaserModel.of_view(beams, fov, max_range))
+    if as_json:
+        _print_json(predicted.to_dict())
+        return
+    for row in predicted.rows():
+        typer.echo("{:8.2f} {:8.3f} {:7.3f} {:4d}".format(*row))
+
+
 @app.command()
 @_stoppable
 def check(recording: RecordingPath, topic: Topics = None) -> None:

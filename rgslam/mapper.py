@@ -30,8 +30,9 @@ from rgslam.observations import FrameObservations, observe_frame
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
 from rgslam.online_fusion import OnlineFusion
-from rgslam.regions import segment_grid
+from rgslam.regions import fit_to_scans, segment_grid
 from rgslam.rg_map import RGMap, RunInfo
+from rgslam.scan_hits import hits_of
 from rgslam.scan_matching import SURFACE, LaserGeometry, ScanPoints, ScanStore, scan_points
 from rgslam.stage_clock import StageClock
 from rgslam.types import (
@@ -373,6 +374,10 @@ class Mapper:
         with self.clock.stage("regions and gateways"):
             tell("regions and gateways", 0, 1)
             segmentation = segment_grid(grid, config=self.config)
+            # Walls and posts where the beams ended, not where cells begin
+            keyframe_scans = [self._track.scans[k] for k in self._keyframe_scans]
+            hits = hits_of(keyframe_scans, self._poses)
+            segmentation = fit_to_scans(segmentation, hits, grid.resolution, self.config)
             gateways = detect_crossings(segmentation.gateways, trajectory)
             tell("regions and gateways", 1, 1)
         return RGMap(

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from shapely import affinity
 
-from rgslam.types import FloatArray, OccupancyGrid
+from rgslam.types import FloatArray, LaserScan, OccupancyGrid
 
 WALL = 0.2  # m
 
@@ -56,3 +56,27 @@ def label_at(segmentation: object, grid: OccupancyGrid, point: FloatArray) -> in
     """Label of the cell at a world point."""
     row, col = grid.cells(np.asarray(point, float)[None])[0]
     return int(segmentation.labels[row, col])
+
+
+def scan_in(
+    space: shapely.Geometry,
+    pose: FloatArray,
+    beams: int = 361,
+    noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> LaserScan:
+    """Scan all round from a pose in free space with walls around it, exact but for the noise."""
+    angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    rings = [r for p in getattr(space, "geoms", [space]) for r in (p.exterior, *p.interiors)]
+    a = np.concatenate([np.asarray(r.coords)[:-1] for r in rings]) - pose[:2]
+    b = np.concatenate([np.asarray(r.coords)[1:] for r in rings]) - pose[:2]
+    # Turned so that the ray is the x axis: where does each wall cross it?
+    turn = np.exp(-1j * (angles + pose[2]))[:, None]
+    p, q = turn * (a[:, 0] + 1j * a[:, 1]), turn * (b[:, 0] + 1j * b[:, 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = p.real - p.imag * (q.real - p.real) / (q.imag - p.imag)
+    crossed = ((p.imag > 0) != (q.imag > 0)) & (x > 0)
+    ranges = np.where(crossed, x, np.inf).min(axis=1)
+    if rng is not None:
+        ranges = ranges + rng.normal(0.0, noise, beams)
+    return LaserScan(0.0, ranges, angles, 30.0, np.zeros(3))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from rgslam.regions.scan_evidence import fit_to_scans
 from rgslam.regions.segmentation import segment_grid
 
-__all__ = ["segment_grid"]
+__all__ = ["fit_to_scans", "segment_grid"]

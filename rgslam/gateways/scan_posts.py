@@ -1,0 +1,185 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Posts of gateways from the end points of beams, fused over all passes of the run.
+
+The grid knows a post to a cell. The beams know more: those that ended on the two faces of the wall
+say where its middle is, those that ended on the jamb between the faces say where the opening
+begins. One pass of the robot gives many beams that share the error of its pose, so that passes are
+what is counted as independent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rgslam.scan_hits import Hits
+from rgslam.types import FloatArray, Gateway, IntArray, Mask
+
+# How far from a post its wall is looked at: as wide as a frame and its trim, m.
+_BESIDE = 0.4
+# A post of the grid is off by a cell for its wall, one for its simplified outline, m / cell.
+_REACH = 2.5
+_ROUNDS = 3
+# Scans so far apart in number belong to different passes of the robot.
+_PASS_GAP = 10
+# Fewer end points than this place nothing.
+_LEAST_HITS = 5
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A position along one direction, with its variance."""
+
+    value: float  # m
+    variance: float  # m^2
+    spread: float = 0.0  # m, standard deviation of one end point
+
+
+def refine_gateway(gateway: Gateway, hits: Hits, resolution: float, thickest: float) -> Gateway:
+    """The gateway with its posts where beams ended; a post that they do not show stays.
+
+    Args:
+        gateway: from the grid.
+        hits: of all scans.
+        resolution: of the grid, m per cell.
+        thickest: thickest wall, m.
+    """
+    hits = hits.near(gateway.points[0], gateway.points[1], _BESIDE + thickest)
+    # The line of the grid may lie askew in its frame: it is laid along the wall first
+    for _ in range(_ROUNDS):
+        gateway = _refine_once(gateway, hits, resolution, thickest)
+    return gateway
+
+
+def _refine_once(gateway: Gateway, hits: Hits, resolution: float, thickest: float) -> Gateway:
+    along = (gateway.points[1] - gateway.points[0]) / gateway.width
+    across = np.array([-along[1], along[0]])
+    u = (hits.points - gateway.points[0]) @ along
+    v = (hits.points - gateway.points[0]) @ across
+    rays = np.stack([hits.rays @ along, hits.rays @ across], axis=1)
+    local = Hits(np.stack([u, v], axis=1), rays, hits.scans)
+    faces = _faces(local, gateway.width, resolution, thickest)
+    points, covariance = gateway.points.copy(), gateway.covariance.copy()
+    rotation = np.stack([along, across], axis=1)
+    for k in range(2):
+        wall = faces[k]
+        if wall is None or wall[0].value <= wall[1].value:
+            continue
+        part = slice(2 * k, 2 * k + 2)
+        known = float(along @ gateway.covariance[part, part] @ along)
+        edge = _jamb(local, k * gateway.width, wall, resolution)
+        edge = edge or _Place(k * gateway.width, known)
+        middle = 0.5 * (wall[0].value + wall[1].value)
+        variances = np.diag([edge.variance, 0.25 * (wall[0].variance + wall[1].variance)])
+        points[k] = gateway.points[0] + edge.value * along + middle * across
+        covariance[part, part] = rotation @ variances @ rotation.T
+    return _with_posts(gateway, points, covariance)
+
+
+def _with_posts(gateway: Gateway, points: FloatArray, covariance: FloatArray) -> Gateway:
+    width = float(np.linalg.norm(points[1] - points[0]))
+    along = (points[1] - points[0]) / width
+    to_left = np.array([-along[1], along[0]])
+    return replace(
+        gateway,
+        points=points,
+        covariance=covariance,
+        width=width,
+        crossing_point=points.mean(axis=0),
+        directions=np.stack([to_left, -to_left]),
+    )
+
+
+def _faces(
+    hits: Hits, width: float, resolution: float, thickest: float
+) -> list[tuple[_Place, _Place] | None]:
+    """Front and back face of the wall beside either post, position across.
+
+    Both posts stand in one wall. Where the face beside one of them is hidden, by an open door leaf
+    or a cabinet, the face beside the other is nearer to the line and counts for both.
+    """
+    u, v = hits.points.T
+    beside = ((u < -resolution) & (u > -_BESIDE),
+              (u > width + resolution) & (u < width + _BESIDE))  # fmt: skip
+    fronts, backs = (
+        [
+            _face(sign * v, place & (sign * hits.rays[:, 1] < 0.0), hits.scans, resolution,
+                  thickest)
+            for place in beside
+        ]
+        for sign in (1.0, -1.0)
+    )  # fmt: skip
+    turn = _turn(fronts, backs)
+    fronts, backs = _nearest(fronts, turn), _nearest(backs, -turn)
+    return [
+        (f, replace(b, value=-b.value)) if f is not None and b is not None else None
+        for f, b in zip(fronts, backs, strict=True)
+    ]
+
+
+def _turn(fronts: list[_Place | None], backs: list[_Place | None]) -> float:
+    """How much farther across the wall stands at the second post, m: the side that tells less.
+
+    A leaf or a cabinet before the wall only adds to what one side tells.
+    """
+    told = [
+        sign * (second.value - first.value)
+        for sign, (first, second) in ((1.0, fronts), (-1.0, backs))
+        if first is not None and second is not None
+    ]
+    return min(told, key=abs, default=0.0)
+
+
+def _nearest(faces: list[_Place | None], turn: float) -> list[_Place | None]:
+    """The face nearest to the line beside both posts, along a wall that turns away by `turn`."""
+    shifts = (0.0, turn)
+    known = [
+        replace(face, value=face.value - shift)
+        for face, shift in zip(faces, shifts, strict=True)
+        if face is not None
+    ]
+    if not known:
+        return [None, None]
+    nearest = min(known, key=lambda face: face.value)
+    return [replace(nearest, value=nearest.value + shift) for shift in shifts]
+
+
+def _jamb(
+    hits: Hits, post: float, faces: tuple[_Place, _Place], resolution: float
+) -> _Place | None:
+    """Post along the line: where beams between the two faces of the wall ended."""
+    front, back = faces
+    u, v = hits.points.T
+    clear = 2.0 * max(front.spread, back.spread)
+    between = (v < front.value - clear) & (v > back.value + clear)
+    jamb = between & (np.abs(u - post) <= _REACH * resolution)
+    return _median(u[jamb], hits.scans[jamb])
+
+
+def _face(
+    v: FloatArray, seen: Mask, scans: IntArray, resolution: float, thickest: float
+) -> _Place | None:
+    """Position across of the wall's face that is seen from the positive side.
+
+    It is the face nearest to the line: what stands before the wall lies farther out.
+    """
+    candidates = seen & (v > -resolution) & (v < thickest)
+    if np.count_nonzero(candidates) < _LEAST_HITS:
+        return None
+    first = np.quantile(v[candidates], 0.25)
+    on_face = candidates & (np.abs(v - first) <= resolution)
+    return _median(v[on_face], scans[on_face])
+
+
+def _median(values: FloatArray, scans: IntArray) -> _Place | None:
+    """Median and its variance, every pass of the robot counted as one measurement."""
+    if len(values) < _LEAST_HITS:
+        return None
+    middle = float(np.median(values))
+    sigma = 1.4826 * float(np.median(np.abs(values - middle)))
+    order = np.unique(scans)
+    passes = 1 + int(np.count_nonzero(np.diff(order) > _PASS_GAP))
+    # The median of many values of one pass is as good as their pose: its error is what they share
+    return _Place(middle, max(sigma, 1e-3) ** 2 / passes, sigma)
