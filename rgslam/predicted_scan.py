@@ -25,6 +25,8 @@ _RANGE_SIGMA = 0.01
 _OBJECT_SIGMA = 0.05 / np.sqrt(12.0)
 #: Lines end short of a corner by up to a cell or two: a beam does not slip through there, m.
 _CORNER = 0.1
+#: They end this far short of a gateway's post at most, whose cells they leave out, m.
+_TO_POST = 0.35
 #: A wall may lie this far beyond a region's outline, which lies on cells and is simplified, m.
 _SLACK = 0.15
 #: A beam that passes the end of a line this near may miss it or not, m: lines are fitted to cells.
@@ -181,13 +183,13 @@ class _Caster:
 
     def cast(self, region: Region, beams: Mask, entered: FloatArray) -> None:
         """Follow some beams (n,) through a region that they entered at a distance (n,)."""
-        segments, sigmas = _surfaces(region)
+        own = [self.gateways[g] for g in region.gateways if g in self.gateways]
+        doors = np.array([g.points for g in own]).reshape(-1, 2, 2)
+        segments, sigmas = _surfaces(region, doors.reshape(-1, 2))
         reach, cosine = _meet(self.origin, self.rays, segments, entered)
         index = np.argmin(reach, axis=1)
         rows = np.arange(len(index))
         wall, wall_cosine = reach[rows, index], cosine[rows, index]
-        own = [self.gateways[g] for g in region.gateways if g in self.gateways]
-        doors = np.array([g.points for g in own]).reshape(-1, 2, 2)
         passed, _ = _meet(self.origin, self.rays, doors, entered + 1e-6)
         door = np.argmin(passed, axis=1)
         at_door = passed[rows, door]
@@ -206,12 +208,13 @@ class _Caster:
                 self.cast(self.by_id[other], through, at_door)
 
 
-def _surfaces(region: Region) -> tuple[FloatArray, FloatArray]:
+def _surfaces(region: Region, posts: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lines (m, 2, 2) of a region's walls and objects, w, and their standard deviations (m,).
 
-    Walls are lengthened to the corners they make with each other.
+    Walls are lengthened to the corners they make with each other and to the posts (n, 2) they lead
+    to.
     """
-    walls = [_lengthened(line) for line in region.line_segments]
+    walls = [_lengthened(line, posts) for line in region.line_segments]
     objects = [np.stack([o, np.roll(o, -1, axis=0)], axis=1) for o in region.objects_2d]
     segments = np.concatenate([np.array(walls).reshape(-1, 2, 2), *objects])
     sigmas = np.full(max(len(segments), 1), _OBJECT_SIGMA)
@@ -219,10 +222,17 @@ def _surfaces(region: Region) -> tuple[FloatArray, FloatArray]:
     return segments, sigmas
 
 
-def _lengthened(line: LineSegment) -> FloatArray:
-    along = line.endpoints[1] - line.endpoints[0]
-    along = along / np.linalg.norm(along)
-    return line.endpoints + _CORNER * np.stack([-along, along])
+def _lengthened(line: LineSegment, posts: FloatArray) -> FloatArray:
+    a, b = line.endpoints
+    length = float(np.linalg.norm(b - a))
+    along = (b - a) / length
+    t = (posts - a) @ along
+    straight = np.abs((posts - a) @ np.array([-along[1], along[0]])) <= _CORNER
+    before = t[straight & (t < 0.0) & (t > -_TO_POST)]
+    after = t[straight & (t > length) & (t < length + _TO_POST)]
+    start = float(before.max()) if before.size else -_CORNER
+    end = float(after.min()) if after.size else length + _CORNER
+    return a + np.array([[start], [end]]) * along
 
 
 def _meet(
