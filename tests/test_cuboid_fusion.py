@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from stereo_scenes import CAMERA
 
-from rgslam.config import Config
 from rgslam.rectangles.cuboid_fit import (
     FACE_SIGNS,
     Box,
@@ -24,8 +23,7 @@ from rgslam.rectangles.cuboid_fusion import FittedCuboid, RectangleView, fuse_cu
 from rgslam.rectangles.detection import DetectedRectangle
 from rgslam.rectangles.maximum_likelihood import CornerMeasurements, fit_rectangles
 
-EDGE_SIGMA = 0.3  # px, of a corner in one image
-REST = Config().rectangles.corner_sigma_px
+CORNER_SIGMA = 0.4  # px, in one image
 POSE_SIGMAS = np.array([0.002] * 3 + [0.004] * 3)  # rad, m
 DEPTH_SIGMA = 0.005  # of the depth
 CABINET = Box(Rotation.from_euler("z", 25, degrees=True).as_matrix(), np.array([1.0, 2.0, 0.4]),
@@ -64,7 +62,7 @@ def see(
     box: Box, wTc: np.ndarray, rng: np.random.Generator, *, depth: bool = False, noise: float = 1.0
 ) -> list[DetectedRectangle]:
     """The faces of a box as one view measures them: a corner has one pixel, whatever its faces."""
-    sigma = noise * np.hypot(EDGE_SIGMA, REST)
+    sigma = noise * CORNER_SIGMA
     errors = rng.normal(0.0, sigma, (2, 2, 2, 2, 2)) if noise else np.zeros((2, 2, 2, 2, 2))
     scale = 1.0 + noise * rng.normal(0.0, DEPTH_SIGMA)
     found = []
@@ -81,7 +79,7 @@ def see(
 def measured(
     left: np.ndarray, right: np.ndarray | None, depths: np.ndarray | None = None
 ) -> DetectedRectangle:
-    covariance = (EDGE_SIGMA**2 + REST**2) * np.eye(8)
+    covariance = CORNER_SIGMA**2 * np.eye(8)
     none = np.full((4, 2), np.nan)
     fitted = fit_rectangles(
         CornerMeasurements.of(
@@ -93,11 +91,11 @@ def measured(
         ),
         CAMERA,
     )  # fmt: skip
-    edge = EDGE_SIGMA**2 * np.eye(8)
     return DetectedRectangle(
         fitted.rotations[0], fitted.translations[0], fitted.sizes[0], fitted.covariances[0],
-        fitted.corners[0], fitted.corner_covariances[0], left, edge,
-        none if right is None else right, edge if right is not None else np.full((8, 8), np.nan),
+        fitted.corners[0], fitted.corner_covariances[0], left, covariance,
+        none if right is None else right,
+        np.full((8, 8), np.nan) if right is None else covariance,
         float(fitted.costs[0]), 1.0, np.ones(4),
     )  # fmt: skip
 

@@ -155,7 +155,7 @@ def fuse_cuboids(
         The cuboids, those with most faces first. A rectangle belongs to one at most.
     """
     config = Config() if config is None else config
-    faces = _collect(views, config)
+    faces = _collect(views)
     free = np.ones(len(faces.measurements), dtype=bool)
     found: list[FittedCuboid] = []
     for seeds in (_seeds_by_view, _seeds_across_views):
@@ -243,7 +243,7 @@ class _Faces:
         return views
 
 
-def _collect(views: Sequence[RectangleView], config: Config) -> _Faces:
+def _collect(views: Sequence[RectangleView]) -> _Faces:
     measurements, view, index, corners, covariances, poses = [], [], [], [], [], []
     whiteners, loose_whiteners = [], []
     for v, seen in enumerate(views):
@@ -251,7 +251,7 @@ def _collect(views: Sequence[RectangleView], config: Config) -> _Faces:
         pose = np.zeros((6, 6)) if seen.pose_covariance is None else seen.pose_covariance
         poses.append(pose)
         for k, rectangle in enumerate(seen.rectangles):
-            measurement = _measurement(rectangle, seen, config)
+            measurement = _measurement(rectangle, seen)
             measurements.append(measurement)
             view.append(v)
             index.append(k)
@@ -305,14 +305,10 @@ def _cross(vectors: FloatArray) -> FloatArray:
     return np.cross(vectors[:, None], np.eye(3)[None]).swapaxes(1, 2)
 
 
-def _measurement(
-    rectangle: DetectedRectangle, view: RectangleView, config: Config
-) -> FaceMeasurement:
-    # As in the reconstruction of one pair: the rest of lens and rectification.
-    rest = config.rectangles.corner_sigma_px**2 * np.eye(8)
-    left = (rectangle.left_px, rectangle.left_covariance + rest)
+def _measurement(rectangle: DetectedRectangle, view: RectangleView) -> FaceMeasurement:
+    left = (rectangle.left_px, rectangle.left_covariance)
     if isinstance(view.camera, StereoCamera) and np.isfinite(rectangle.right_px).all():
-        right = (rectangle.right_px, np.nan_to_num(rectangle.right_covariance) + rest)
+        right = (rectangle.right_px, rectangle.right_covariance)
         return FaceMeasurement(view.camera, view.wTc, *left, *right)
     # One image does not know the scale: what the estimate knows of it is from its depth image.
     distance = float(np.linalg.norm(rectangle.translation))
