@@ -31,7 +31,6 @@ class ScanMatchingConfig(StageConfig):
     keyframe_angle_deg: float = Field(20.0, gt=0.0)  # turn between keyframes
     min_inliers: float = Field(0.1, ge=0.0, le=1.0)  # share of points that must fit the local map
     doubtful_inliers: float = Field(0.6, ge=0.0, le=1.0)  # below it, odometry may be wrong
-    beam_correlation: float = Field(5.0, ge=1.0)  # neighbouring beams that err alike: one counts
 
 
 class LoopClosingConfig(StageConfig):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import median
 
 import numpy as np
@@ -13,13 +14,16 @@ import numpy as np
 from rgslam.config import ScanMatchingConfig
 from rgslam.geometry import between, compose
 from rgslam.scan_matching import (
+    BeamCorrelation,
     Registration,
     ScanPoints,
     ScanStore,
     SurfelMap,
+    agreement,
     build_surfel_map,
     correlate,
     gate_schedule,
+    line_residuals,
     register,
     solve,
     thinned,
@@ -62,10 +66,23 @@ class LocalMatch:
     """Where a scan lies among the newest keyframes."""
 
     wTb: FloatArray  # (3,)
-    information: FloatArray  # (3, 3), of the laser alone, at wTb
+    registration: Registration | None  # None: not trusted
+    correlation: float  # beams that count as one
     inliers: float  # share of the surface points that found a partner
     trusted: bool  # False: too few points agree, wTb is the prediction
     doubt: float  # factor by which the covariance of the prediction was too small, at least 1
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """(3, 3), of the laser alone against the newest keyframes as a whole, at wTb."""
+        if self.registration is None:
+            return np.zeros((3, 3))
+        return self.registration.information / self.correlation
+
+    @classmethod
+    def predicted(cls, wTb: FloatArray, inliers: float, trusted: bool) -> LocalMatch:
+        """A scan that is placed without the laser."""
+        return cls(wTb, None, 1.0, inliers, trusted, 1.0)
 
 
 class LocalMap:
@@ -76,6 +93,7 @@ class LocalMap:
         self._config = config
         self._surfels: SurfelMap | None = None
         self._residuals: deque[float] = deque(maxlen=_NOISE_MATCHES)
+        self._correlation = BeamCorrelation()
         self._inliers: deque[float] = deque(maxlen=_NOISE_MATCHES)
         self._usual_inliers = 1.0  # what scans have here; nothing is usual yet
         self._reach = 4.0 * config.resolution  # m, first gate: registration finds no farther
@@ -116,11 +134,49 @@ class LocalMap:
             other = self._align(scan, start, habit)
             best = other if other.inliers > best.inliers + _CLEARLY_BETTER else best
         if best.inliers < self._config.min_inliers:
-            return LocalMatch(prediction, np.zeros((3, 3)), best.inliers, False, 1.0)
+            return LocalMatch.predicted(prediction, best.inliers, False)
         self._residuals.append(best.residual)
         self._inliers.append(best.inliers)
         doubt = _doubt(between(prediction, best.wTb), odometry.covariance)
-        return LocalMatch(best.wTb, best.information, best.inliers, True, doubt)
+        return LocalMatch(best.wTb, best, self._correlation.factor, best.inliers, True, doubt)
+
+    def learn(self, scan: ScanPoints, wTb: FloatArray) -> None:
+        """Take a scan that becomes a keyframe as a sample of how beams err."""
+        if self._surfels is not None:
+            self._correlation.add(
+                line_residuals(
+                    wTb, scan.points, scan.normals, scan.classes, self._surfels.surfels,
+                    float(self._gates[-1]),
+                )
+            )  # fmt: skip
+
+    def farthest_in_sight(self, scan: ScanPoints, poses: FloatArray) -> int | None:
+        """Number of the oldest keyframe here that still shows most of what the newest one does.
+
+        Args:
+            scan: points of the newest keyframe.
+            poses: (K, 3), of all keyframes, the newest last.
+
+        Returns:
+            None when only the neighbour or nothing does.
+        """
+        newest = len(poses) - 1
+        for back in (self._config.local_keyframes, self._config.local_keyframes // 2):
+            old = max(newest - back, 0)
+            if newest - old < 2:
+                continue
+            seen = agreement(
+                thinned(scan.valid, 4.0 * self._config.resolution), poses[newest], self._store,
+                np.array([old]), poses[old : old + 1], 2.0 * self._config.resolution,
+            )  # fmt: skip
+            if seen.overlap > 0.5:
+                return old
+        return None
+
+    @property
+    def correlation(self) -> float:
+        """Neighbouring beams that err alike and count as one."""
+        return self._correlation.factor
 
     def _align(self, scan: ScanPoints, start: FloatArray, motion: Motion) -> Registration:
         """Least squares from the prediction, or from the basin that correlation finds.

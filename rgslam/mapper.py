@@ -51,8 +51,8 @@ from rgslam.types import (
 #: What a step without any motion may still be off: the wheels stand, the robot may be pushed or a
 #: stamp be late. 1 cm and 0.3 degrees.
 _STANDING = np.diag([0.01**2, 0.01**2, 0.005**2])
-#: Sigmas by which a loop must be off before the poses are optimised at once.
-_SURPRISING_SIGMAS = 3.0
+#: Information of what no wall holds: 10 m and 10 rad.
+_OPEN = np.diag([1e-2, 1e-2, 1e-2])
 #: Poses are settled whenever the map has grown by this part of itself.
 _SETTLE_SHARE = 10
 #: While the run goes on, poses need not be better than the next loop makes them.
@@ -202,7 +202,7 @@ class Mapper:
     def _match(self, points: ScanPoints | None, odometry: Motion, habit: Motion) -> LocalMatch:
         if points is None or not len(self._poses):
             prediction = compose(self._wTb, odometry.bTc)
-            return LocalMatch(prediction, np.zeros((3, 3)), 0.0, points is not None, 1.0)
+            return LocalMatch.predicted(prediction, 0.0, points is not None)
         return self._local_map.match(points, self._wTb, odometry, habit)
 
     def _remember(
@@ -230,7 +230,7 @@ class Mapper:
                 self._track.keyframe[-1],
                 self._track.kTb[-1],
                 self._since_keyframe,
-                match.information / self.config.scan_matching.beam_correlation,
+                match.information / 2.0,  # the keyframe errs as much as the scan
                 odometry.covariance * match.doubt,
             )
         )
@@ -242,15 +242,12 @@ class Mapper:
 
     def _add_keyframe(self, points: ScanPoints, match: LocalMatch) -> int:
         number = self._store.append(points)
-        if number:
-            # Laser and wheels since the last keyframe are independent evidence: both count
-            information = match.information / self.config.scan_matching.beam_correlation
-            covariance = np.linalg.inv(information + np.linalg.inv(self._since_keyframe))
-            kTb = between(self._poses[-1], self._wTb)
-            edge = PoseEdge(number - 1, number, kTb, covariance, EdgeKind.MATCH)
-            self._graph.add([edge])
-            self._closer.add_edges([edge])
         self._poses = np.vstack([self._poses, self._wTb])
+        if number:
+            self._local_map.learn(points, self._wTb)
+            edges = self._match_edges(number, points, match)
+            self._graph.add(edges)
+            self._closer.add_edges(edges)
         self._keyframe_scans.append(len(self._track.scans) - 1)
         self._keyframe_path.append(self._path)
         self._track.keyframe[-1] = number
@@ -258,6 +255,28 @@ class Mapper:
         self._frames.became_keyframe(number)
         self._since_keyframe = np.zeros((3, 3))
         return number
+
+    def _match_edges(self, number: int, points: ScanPoints, match: LocalMatch) -> list[PoseEdge]:
+        """What the match says of the newest keyframe, as relative poses to older ones.
+
+        It was aligned with all keyframes around here, so its error does not add to theirs as in a
+        chain. An edge to its neighbour and one to the oldest in sight, half of the information
+        each, drift as slowly as such an average does.
+        """
+        # Both keyframes of an edge err as scans do
+        information = match.information / 2.0
+        far = self._local_map.farthest_in_sight(points, self._poses) if match.trusted else None
+        near = information if far is None else information / 2.0
+        # Laser and wheels since the last keyframe are independent evidence: both count
+        covariance = np.linalg.inv(near + np.linalg.inv(self._since_keyframe))
+        edges = [self._edge(number - 1, number, covariance)]
+        if far is not None:
+            open_far = np.asarray(np.linalg.inv(information / 2.0 + _OPEN), np.float64)
+            edges.append(self._edge(far, number, open_far))
+        return edges
+
+    def _edge(self, i: int, j: int, covariance: FloatArray) -> PoseEdge:
+        return PoseEdge(i, j, between(self._poses[i], self._poses[j]), covariance, EdgeKind.MATCH)
 
     def _search_loops(self, number: int) -> list[LoopCandidate]:
         if not self.config.loop_closing.enabled or number == 0:
@@ -270,25 +289,30 @@ class Mapper:
             self._poses,
             np.array(self._keyframe_path),
             self._local_map.sigma,
-            self.config.scan_matching.beam_correlation,
+            self._local_map.correlation,
         )
 
     def _settle(self, loops: list[LoopCandidate]) -> None:
         """Add loops to the graph; optimise when they tell something new."""
-        edges = self._add_loops(loops)
+        self._add_loops(loops)
         self._unsettled += bool(loops) or self._unsettled > 0
-        far_off = mahalanobis(edges, self._poses) > _SURPRISING_SIGMAS
-        surprise = bool(far_off.any()) or any(loop.wide for loop in loops)
+        # The next search must find its place inside the smallest window
+        limit = 0.5 * self.config.loop_closing.min_window
+        surprise = any(loop.wide or self._off(loop.edge) > limit for loop in loops)
         # In proportion to the map, or a long run would spend its time on settling
         usual = max(self.config.factor_graph.optimise_every, len(self._poses) // _SETTLE_SHARE)
         if surprise or self._unsettled > usual:
             self._optimise(any(loop.wide for loop in loops), _UNDERWAY_TOLERANCE)
 
-    def _add_loops(self, loops: list[LoopCandidate]) -> list[PoseEdge]:
+    def _off(self, edge: PoseEdge) -> float:
+        """Metres by which the poses disagree with an edge."""
+        now = between(self._poses[edge.i], self._poses[edge.j])
+        return float(np.hypot(*between(edge.iTj, now)[:2]))
+
+    def _add_loops(self, loops: list[LoopCandidate]) -> None:
         edges = [loop.edge for loop in loops]
         self._graph.add(edges)
         self._closer.add_edges(edges)
-        return edges
 
     def _optimise(self, convex_start: bool = False, tolerance: float = 1e-5) -> None:
         """Most likely poses; loops that the others outvote are taken back.

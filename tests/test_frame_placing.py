@@ -155,7 +155,9 @@ def test_placed_frames_are_as_good_as_they_say() -> None:
         covariances = np.array([f.covariance for f in frames])
         values += np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covariances), errors).tolist()
         assert np.hypot(*errors[:, :2].T).max() < 0.02  # two sigma of a range
-        assert np.sqrt(covariances[:, :2, :2].diagonal(axis1=1, axis2=2)).mean() < 0.01
+        assert (
+            np.sqrt(covariances[:, :2, :2].diagonal(axis1=1, axis2=2)).mean() < 0.012
+        )  # noise of a range, and first guess of how beams err alike
     # Three degrees of freedom; the bound errs to the safe side, as errors at both ends may be alike
     assert np.mean(values) < 3.5
 

@@ -164,9 +164,7 @@ def propose_loop(
         gate_schedule(4.0 * config.resolution, view.sigma),
     )  # fmt: skip
     verdict = agreement(points, fine.wTb, view.store, chunk, chunk_poses, config.tolerance)
-    edge = PoseEdge(
-        anchor, new, fine.wTb, _loop_covariance(fine.information, view, config), EdgeKind.LOOP
-    )
+    edge = PoseEdge(anchor, new, fine.wTb, _loop_covariance(fine.information, view), EdgeKind.LOOP)
     candidate = LoopCandidate(
         edge, match.score, match.rival_score, verdict.ratio, verdict.overlap, window
     )
@@ -184,13 +182,10 @@ def propose_loop(
     return candidate
 
 
-def _loop_covariance(
-    information: FloatArray, view: MapView, config: LoopClosingConfig
-) -> FloatArray:
-    """Covariance of a registered loop; the old chunk is itself only known to about a cell."""
-    floor = np.diag([config.resolution**2, config.resolution**2, (0.2 * config.resolution) ** 2])
+def _loop_covariance(information: FloatArray, view: MapView) -> FloatArray:
+    """Covariance of a registered loop: the old keyframes err as the new one does."""
     vague = np.diag([1e-2, 1e-2, 1e-2])  # 10 m, 10 rad: what no wall holds is left open
-    covariance = np.linalg.inv(information / view.beam_correlation + vague) + floor
+    covariance = np.linalg.inv(information / (2.0 * view.beam_correlation) + vague)
     return np.asarray(covariance, np.float64)
 
 

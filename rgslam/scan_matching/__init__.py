@@ -9,7 +9,14 @@ with a covariance that comes from the match itself.
 
 from rgslam.scan_matching.agreement import Agreement, agreement
 from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
-from rgslam.scan_matching.registration import Registration, gate_schedule, register, solve
+from rgslam.scan_matching.noise import BeamCorrelation
+from rgslam.scan_matching.registration import (
+    Registration,
+    gate_schedule,
+    line_residuals,
+    register,
+    solve,
+)
 from rgslam.scan_matching.scan_points import (
     EDGE,
     INVALID,
@@ -29,6 +36,7 @@ __all__ = [
     "POINT",
     "SURFACE",
     "Agreement",
+    "BeamCorrelation",
     "CorrelativeMatch",
     "LaserGeometry",
     "Registration",
@@ -40,6 +48,7 @@ __all__ = [
     "build_surfel_map",
     "correlate",
     "gate_schedule",
+    "line_residuals",
     "register",
     "scan_points",
     "solve",

@@ -97,6 +97,49 @@ def register(
 
 
 @njit(cache=True, nogil=True)
+def _nearest(x: float, y: float, surfels: Surfels, gate: float) -> int:
+    """Index of the surfel nearest to a place, or -1 when none is within the gate."""
+    rows, cols = surfels.nearest.shape
+    col = int(np.floor((x - surfels.origin[0]) / surfels.resolution))
+    row = int(np.floor((y - surfels.origin[1]) / surfels.resolution))
+    if row < 0 or row >= rows or col < 0 or col >= cols:
+        return -1
+    k = surfels.nearest[row, col]
+    if k < 0:
+        return -1
+    ex, ey = x - surfels.points[k, 0], y - surfels.points[k, 1]
+    return k if ex * ex + ey * ey <= gate * gate else -1
+
+
+@njit(cache=True, nogil=True)
+def line_residuals(
+    pose: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    surfels: Surfels,
+    gate: float,
+) -> FloatArray:
+    """Distance (n,) of every placed surface point to its line, m; NaN where it has none."""
+    residuals = np.full(len(points), np.nan)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for i in range(len(points)):
+        if classes[i] != SURFACE:
+            continue
+        x = pose[0] + c * points[i, 0] - s * points[i, 1]
+        y = pose[1] + s * points[i, 0] + c * points[i, 1]
+        k = _nearest(x, y, surfels, gate)
+        if k < 0:
+            continue
+        nx, ny = surfels.normals[k, 0], surfels.normals[k, 1]
+        e = nx * (x - surfels.points[k, 0]) + ny * (y - surfels.points[k, 1])
+        along = (c * nx + s * ny) * normals[i, 0] + (-s * nx + c * ny) * normals[i, 1]
+        if along >= 0.7 and abs(e) <= gate:
+            residuals[i] = e
+    return residuals
+
+
+@njit(cache=True, nogil=True)
 def _normal_equations(
     pose: FloatArray,
     points: FloatArray,
@@ -115,8 +158,7 @@ def _normal_equations(
     map_points, map_normals, map_variances = (
         surfels.points, surfels.normals, surfels.normal_variances
     )  # fmt: skip
-    nearest, resolution, origin = surfels.nearest, surfels.resolution, surfels.origin
-    rows, cols = nearest.shape
+    resolution = surfels.resolution
     c, s = np.cos(pose[2]), np.sin(pose[2])
     matched, weights, squares = 0, 0.0, 0.0
     for i in range(len(points)):
@@ -124,24 +166,17 @@ def _normal_equations(
             continue
         px, py = points[i, 0], points[i, 1]
         qx, qy = pose[0] + c * px - s * py, pose[1] + s * px + c * py
-        col = int(np.floor((qx - origin[0]) / resolution))
-        row = int(np.floor((qy - origin[1]) / resolution))
-        if row < 0 or row >= rows or col < 0 or col >= cols:
-            continue
-        k = nearest[row, col]
+        k = _nearest(qx, qy, surfels, gate)
         if k < 0:
             continue
         nx, ny = map_normals[k, 0], map_normals[k, 1]
         ex, ey = qx - map_points[k, 0], qy - map_points[k, 1]
-        d2 = ex * ex + ey * ey
-        if d2 > gate * gate:
-            continue
         if classes[i] == EDGE:
             if not surfels.is_edge[k]:
                 continue
             # An edge holds a point in both directions, where a hallway's walls do not; it is known
             # to about a cell, as beams pass it left and right
-            u = 1.0 + d2 / (3.0 * resolution) ** 2
+            u = 1.0 + (ex * ex + ey * ey) / (3.0 * resolution) ** 2
             w = (sigma / resolution) ** 2 / (u * u)
             ax, ay = c * ex + s * ey, -s * ex + c * ey
             H[0, 0] += w
