@@ -54,7 +54,8 @@ class TruthRectangle:
     """A rectangular thing as it was built; a door leaf is two of them, one per face."""
 
     name: str
-    label: str  # what it is: door, whiteboard, poster, monitor, ...
+    label: str  # what it is: door, whiteboard, ...; wall = a part of the building itself, which
+    # is a rectangle too, and no thing that a map must name
     wTr: FloatArray  # (4, 4)
     size: FloatArray  # (2,), width and height, m
     cuboid: str | None = None  # name of the cuboid that it is a face of

@@ -157,10 +157,14 @@ def _walls(world: World) -> list[Solid]:
     by_height = defaultdict(list)
     for i, wall in enumerate(world.walls):
         by_height[wall.height].append(_wall_polygon(world, i))
-    pieces = [
-        Solid("wall", piece, 0.0, height)
+    cut = unary_union(list(holes.values()))
+    upright = [
+        (piece, height)
         for height, polygons in by_height.items()
-        for piece in _pieces(unary_union(polygons).difference(unary_union(list(holes.values()))))
+        for piece in _pieces(unary_union(polygons).difference(cut))
+    ]
+    pieces = [
+        Solid(f"wall {k}", piece, 0.0, height) for k, (piece, height) in enumerate(upright, start=1)
     ]
     for opening in openings:
         line = _opening_in_wall(opening, world)
@@ -171,10 +175,11 @@ def _walls(world: World) -> list[Solid]:
                 f"{world.name}: {opening.name!r}: its top at {top:g} m is above the top of its "
                 f"wall at {height:g} m"
             )
+        kind = type(opening).__name__.lower()
         if bottom > 0.0:
-            pieces.append(Solid(f"below {opening.name}", line, 0.0, bottom))
+            pieces.append(Solid(f"below {kind} {opening.name}", line, 0.0, bottom))
         if top < height:
-            pieces.append(Solid(f"above {opening.name}", line, top, height))
+            pieces.append(Solid(f"above {kind} {opening.name}", line, top, height))
     return pieces
 
 

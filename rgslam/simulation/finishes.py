@@ -215,8 +215,6 @@ def returned(
     Borders are the caller's affair: within one, `finish` does not count.
     """
     if finish == _WALL:
-        if v < 0.08:
-            return 0.28 if v > 0.008 else 0.12
         roller = 0.035 * ripple(u, v, 45.0, seed, grain)
         return tone * (1.0 + 0.05 * ripple(u, v, 0.8, seed, grain) + roller)
     if finish == _LEAF:
@@ -244,17 +242,13 @@ def returned(
         sheen = 0.7 + 0.5 * (0.6 * u / width + 0.4 * v / height)
         return tone * (sheen + 0.25 * ripple(u, v, 2.0, seed, grain))
     if finish == _FRONT:
-        middle = abs(u - 0.5 * width)
-        if width > 0.5 and middle < 0.002:
-            return 0.25 * tone
-        if width > 0.5 and abs(middle - 0.04) < 0.007 and abs(v - 0.55 * height) < 0.07:
+        if abs(width - 0.06 - u) < 0.007 and abs(v - 0.55 * height) < 0.07:
             return 0.75
         return tone * (1.0 + 0.02 * ripple(u, v, 1.3, seed, grain))
     if finish == _SHELF:
         return _shelf(u, v, width, height, seed)
     if finish == _SKY:
-        bar = width > 1.0 and abs(u - 0.5 * width) < 0.025
-        return 0.25 if bar else _sky(u, v, width, height, seed)
+        return _sky(u, v, width, height, seed)
     if finish == _LAMP:
         return 1.0
     if finish in (_CARPET, _STONE, _PLANKS):

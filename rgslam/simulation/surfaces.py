@@ -27,6 +27,8 @@ from rgslam.types import FloatArray
 _PROUD = 2e-4
 #: Width of the frame around a door, m, and its tone relative to its wall's.
 _FRAME, _FRAME_TONE = 0.06, 0.92
+#: Height of a skirting board, m, and its tone.
+_SKIRTING, _SKIRTING_TONE = 0.08, 0.28
 #: Farther than this from a wall nothing hangs on it, m.
 _REACH = 0.5
 
@@ -34,7 +36,7 @@ _REACH = 0.5
 class Finish(IntEnum):
     """How the renderer paints a surface."""
 
-    WALL = 0  # paint, with a skirting board at the floor
+    WALL = 0  # paint from a roller
     PLAIN = 1
     WOOD = 2
     METAL = 3
@@ -46,7 +48,7 @@ class Finish(IntEnum):
     FRONT = 9
     SHELF = 10
     LEAF = 11  # a door leaf with its handle
-    SKY = 12  # a window pane and its frame
+    SKY = 12  # what is seen through a window
     LAMP = 13
     CARPET = 14
     STONE = 15
@@ -123,16 +125,30 @@ def true_cuboids(world: World) -> tuple[TruthCuboid, ...]:
 def _of_solid(solid: Solid, world: World) -> Iterator[Piece]:
     source = solid.source
     if source is None:
-        standing = Finish.WALL if solid.bottom == 0.0 else Finish.PLAIN  # no skirting up there
-        yield from _sides(solid, standing, _wall_tone(solid, world))
-        if len(solid.polygon.exterior.coords) == 5:  # sills and lintels; walls end at the ceiling
-            yield from _caps(solid, Finish.PLAIN, _wall_tone(solid, world))
+        yield from _wall_pieces(solid, _wall_tone(solid, world))
     elif isinstance(source, Door):
         yield from _leaf_pieces(solid, source)
     elif isinstance(source, Window):
         yield from _pane_pieces(solid, source)
     else:
         yield from _box_pieces(solid, source)
+
+
+def _wall_pieces(solid: Solid, tone: float) -> Iterator[Piece]:
+    standing = solid.bottom == 0.0 and solid.top > 2.0 * _SKIRTING
+    for k, side in enumerate(_sides(solid, Finish.WALL, tone), start=1):
+        name = f"{solid.name} side {k}"
+        if not standing:
+            yield replace(side, name=name, label="wall")
+            continue
+        low, high = np.array([side.size[0], _SKIRTING]), np.array([0.0, _SKIRTING])
+        lift = np.array([0.0, 0.0, _SKIRTING])
+        yield replace(side, corner=side.corner + lift, size=side.size - high, name=name,
+                      label="wall")  # fmt: skip
+        yield replace(side, size=low, finish=Finish.PLAIN, tone=_SKIRTING_TONE)
+    if len(solid.polygon.exterior.coords) == 5:  # sills and lintels; walls end at the ceiling
+        for face, cap in zip(("top", "underside"), _caps(solid, Finish.WALL, tone), strict=True):
+            yield replace(cap, name=f"{solid.name} {face}", label="wall")
 
 
 def _sides(solid: Solid, finish: Finish, tone: float) -> Iterator[Piece]:
@@ -204,8 +220,6 @@ def _pane_pieces(solid: Solid, window: Window) -> Iterator[Piece]:
             side,
             name=f"window {window.name} {face}",
             label="window",
-            border=0.06,
-            border_tone=0.75,
         )
 
 
