@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from pathlib import Path
@@ -15,7 +16,12 @@ from typer.testing import CliRunner
 from rgslam.cli import app
 from rgslam.errors import MissingExtraError
 from rgslam.experiments import run_depth_noise, run_discretization, run_rules
-from rgslam.experiments.depth_noise import OBJECTS, STEREO_RIG, DepthNoiseResult
+from rgslam.experiments.depth_noise import (
+    OBJECTS,
+    STEREO_RIG,
+    DepthNoiseResult,
+    standing_rectangle,
+)
 from rgslam.experiments.discretization import DiscretizationResult
 from rgslam.experiments.poses import PAPER_CAMERA, CornerErrors, turned_rectangles
 from rgslam.experiments.rules import RulesResult, learn_rules
@@ -27,6 +33,7 @@ from rgslam.rectangles.prediction import (
     longest_diagonal,
     predict,
     shipped_table,
+    stereo_depth_sigma,
     write_tables,
 )
 
@@ -207,6 +214,28 @@ def test_prediction_holds_where_it_was_not_learned() -> None:
     # differs by up to a half.
     assert 0.3 < np.mean(errors[plain] < expected.error[plain]) < 0.7
     assert 0.8 < np.mean(errors[plain] < expected.error_90[plain]) < 0.98
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_prediction_counts_the_error_of_disparities(name: str) -> None:
+    sigma, draws = 0.3, 100
+    rng = np.random.default_rng(0)
+    below = []
+    for distance, angle in itertools.product((1.0, 2.0, 3.0), (0.0, 0.5, 1.0)):
+        _, corners = standing_rectangle(OBJECTS[name], distance, angle)
+        left, right = STEREO_RIG.project(corners), STEREO_RIG.project_right(corners)
+        if not (STEREO_RIG.contains(left) & STEREO_RIG.contains(right)).all():
+            continue
+        noise = rng.normal(0.0, sigma, (2, draws, 4, 2))
+        measured = CornerMeasurements.of(left + noise[0], sigma**2, right_px=right + noise[1])
+        found = fit_rectangles(measured, STEREO_RIG)
+        errors = np.linalg.norm(found.corners - corners, axis=-1).max(axis=-1)
+        far = np.linalg.norm(corners.mean(axis=0))
+        blur = stereo_depth_sigma(STEREO_RIG, corners[None], sigma)
+        promised = predict(left[None], far, sigma, depth_sigma=blur)
+        below.append(np.mean(errors <= promised.error_90[0]))
+    # Nine of ten, but for the table's coarse intervals, which hold small rectangles too.
+    assert min(below) > 0.8
 
 
 def test_prediction_grows_with_distance_and_shrinks_with_size() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rgslam.camera import PinholeCamera
+from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.errors import MapError
 from rgslam.rectangles.next_best_view import (
     corners_in_camera,
@@ -60,6 +60,20 @@ def test_a_looser_bound_is_met_nearer() -> None:
     ]
     assert views[0].distance > views[1].distance > views[2].distance
     assert views[2].distance == 0.0
+
+
+def test_a_pair_goes_nearer_as_it_must_measure_the_depth() -> None:
+    start = np.array([1.0, 3.0, 0.0])
+    pair = StereoCamera(**vars(CAMERA), baseline=0.12)
+    one, two = (
+        next_best_view(BOARD, room(), start, camera, BTC, largest_error=0.03)
+        for camera in (CAMERA, pair)
+    )
+    assert one is not None
+    assert two is not None
+    assert two.distance > one.distance
+    seen = corners_in_camera(BOARD, two.wTb[None], BTC)[0]
+    assert pair.contains(pair.project_right(seen)).all()
 
 
 def test_a_wall_is_gone_around() -> None:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rgslam.camera import PinholeCamera
+from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.errors import MapError
-from rgslam.rectangles.prediction import PredictionTable, predict
+from rgslam.rectangles.prediction import PredictionTable, predict, stereo_depth_sigma
 from rgslam.types import FloatArray, OccupancyGrid
 
 # A cell is free when an obstacle is less likely than not by as much as one miss makes it.
@@ -53,7 +53,7 @@ def next_best_view(
         w_corners: rough corners (4, 3) in the world, counter-clockwise for who sees its face.
         grid: free and occupied floor.
         wTb: where the robot is, (3,).
-        camera: its camera.
+        camera: its camera; of a `StereoCamera` the error of the disparities is counted too.
         bTc: pose (4, 4) of the camera on the robot, as a matrix.
         largest_error: m, bound on the corner error in nine of ten cases.
         sigma_px: expected standard deviation of a corner's coordinate.
@@ -70,11 +70,16 @@ def next_best_view(
     c_corners = corners_in_camera(w_corners, poses, bTc)
     corners_px = camera.project(c_corners)
     visible = _visible(c_corners, corners_px, camera) & _in_sight(grid, poses, w_corners)
+    if isinstance(camera, StereoCamera):
+        visible &= _visible(c_corners, camera.project_right(c_corners), camera)
     if not visible.any():
         return None
     which = np.flatnonzero(visible)
     far = np.linalg.norm(c_corners[which].mean(axis=1), axis=-1)
-    errors = predict(corners_px[which], far, sigma_px, table).error_90
+    blur: FloatArray | float = 0.0  # of one camera: a corner's depth is known then
+    if isinstance(camera, StereoCamera):
+        blur = stereo_depth_sigma(camera, c_corners[which], sigma_px)
+    errors = predict(corners_px[which], far, sigma_px, table, blur).error_90
     good = np.flatnonzero(errors < largest_error)
     if len(good) == 0:
         return None

@@ -8,8 +8,8 @@ error sigma on a quadrangle with a diagonal of s pixels at distance Z moves corn
 `g Z sigma / s`. The distribution of g per interval of the angle sum is learned by
 `rgslam experiment rules --table` and shipped as `prediction_table.json`.
 
-The learned case is one image and one corner whose depth is known; what the depth's own error adds
-is proportional to it and not in here.
+The learned case is one image and one corner whose depth is known. An error of that depth scales the
+whole rectangle away from the camera; it is independent of the pixels' part, so the squares add up.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from scipy.special import ndtri
 
+from rgslam.camera import StereoCamera
 from rgslam.errors import MapError
 from rgslam.types import FloatArray
 
@@ -112,6 +114,7 @@ def predict(
     distance: FloatArray | float,
     sigma_px: float,
     table: PredictionTable | None = None,
+    depth_sigma: FloatArray | float = 0.0,
 ) -> Prediction:
     """Predict success and error of reconstructing quadrangles.
 
@@ -120,17 +123,35 @@ def predict(
         distance: m, from the camera to the rectangles (n,) or one.
         sigma_px: standard deviation of a corner's coordinate.
         table: learned factors; by default those shipped for maximum likelihood.
+        depth_sigma: m, by which the error of the scale moves the farthest corner, (n,) or one:
+            `stereo_depth_sigma`, or that of the measured corner.
     """
     table = shipped_table() if table is None else table
     corners_px = np.asarray(corners_px, float)
     interval = table.interval(angle_sum_deg(corners_px))
     with np.errstate(divide="ignore"):
         scale = np.asarray(distance, float) * sigma_px / longest_diagonal(corners_px)
-    return Prediction(
-        table.success[interval],
-        scale * _factors_at(table, 0.5)[interval],
-        scale * _factors_at(table, 0.9)[interval],
-    )
+
+    def error(share: float) -> FloatArray:
+        by_pixels = scale * _factors_at(table, share)[interval]
+        return np.hypot(by_pixels, ndtri(0.5 + 0.5 * share) * np.asarray(depth_sigma, float))
+
+    return Prediction(table.success[interval], error(0.5), error(0.9))
+
+
+def stereo_depth_sigma(camera: StereoCamera, c_corners: FloatArray, sigma_px: float) -> FloatArray:
+    """What errors of the disparities move the farthest corner by (n,), m, standard deviation.
+
+    The disparities of four corners set the scale, which moves a corner in proportion to its range.
+
+    Args:
+        camera: that sees all corners in both images.
+        c_corners: (n, 4, 3), rough.
+        sigma_px: standard deviation of a corner's coordinate in either image.
+    """
+    depth = c_corners[..., 2].mean(axis=-1)
+    sigma = camera.depth_sigma(depth, np.sqrt(2.0) * sigma_px) / np.sqrt(4.0)
+    return sigma / depth * np.linalg.norm(c_corners, axis=-1).max(axis=-1)
 
 
 def _factors_at(table: PredictionTable, quantile: float) -> FloatArray:
