@@ -16,6 +16,12 @@ from rgslam.metrics.against_truth import (
 from rgslam.metrics.consistency import Nees, keyframe_errors, nees
 from rgslam.metrics.crossings import CrossingErrors, crossing_errors
 from rgslam.metrics.evaluation import Evaluation, evaluate_map
+from rgslam.metrics.rectangles import (
+    LandmarkErrors,
+    ObservationErrors,
+    landmark_errors,
+    observation_errors,
+)
 from rgslam.metrics.relations import (
     ErrorSummary,
     RelationErrors,
@@ -30,7 +36,9 @@ __all__ = [
     "ErrorSummary",
     "Evaluation",
     "GatewayErrors",
+    "LandmarkErrors",
     "Nees",
+    "ObservationErrors",
     "RegionErrors",
     "RelationErrors",
     "Relations",
@@ -40,8 +48,10 @@ __all__ = [
     "gateway_errors",
     "keyframe_errors",
     "kuemmerle",
+    "landmark_errors",
     "match_stamps",
     "nees",
+    "observation_errors",
     "read_relations",
     "region_errors",
     "trajectory_errors",

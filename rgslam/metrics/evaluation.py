@@ -25,9 +25,32 @@ from rgslam.metrics.against_truth import (
 )
 from rgslam.metrics.consistency import Nees, keyframe_errors, nees
 from rgslam.metrics.crossings import CrossingErrors, crossing_errors
-from rgslam.metrics.relations import ErrorSummary, RelationErrors, kuemmerle, read_relations
-from rgslam.truth import read_truth
-from rgslam.types import Trajectory
+from rgslam.metrics.rectangles import (
+    LandmarkErrors,
+    ObservationErrors,
+    anchored_alignment,
+    expected_rectangles,
+    landmark_errors,
+    observation_errors,
+)
+from rgslam.metrics.rectangles_report import (
+    landmark_rows,
+    landmarks_dict,
+    nees_dict,
+    nees_text,
+    observation_rows,
+    observations_dict,
+)
+from rgslam.metrics.relations import (
+    ErrorSummary,
+    RelationErrors,
+    kuemmerle,
+    match_stamps,
+    read_relations,
+)
+from rgslam.observation_file import decode_observations
+from rgslam.truth import Truth, read_truth
+from rgslam.types import FloatArray, Keyframes, Trajectory
 
 #: Name and text of one line of a table.
 Row = tuple[str, str]
@@ -44,6 +67,8 @@ class TruthErrors:
     true_gateways: int
     true_regions: int
     nees: Nees | str  # or why it is not known
+    observations: ObservationErrors | None = None  # None = a run without stereo
+    landmarks: LandmarkErrors | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +167,17 @@ def _against_truth(
     except EvaluationError as error:
         consistency = str(error)
     gateways = gateway_errors(document["gateways"], truth.gateways, poses.tTw)
+    observations = landmarks = None
+    if truth.bTc is not None:
+        frames = decode_observations(*_read(folder, "observations.json"))
+        observations = observation_errors([frame.observations for frame in frames], truth)
+        landmarks = landmark_errors(
+            document["rectangles"],
+            truth.rectangles,
+            expected_rectangles(truth),
+            poses.tTw,
+            _anchored(keyframes, truth),
+        )
     return TruthErrors(
         trajectory=poses,
         gateways=gateways,
@@ -152,7 +188,17 @@ def _against_truth(
         true_gateways=len(truth.gateways),
         true_regions=len(truth.regions),
         nees=consistency,
+        observations=observations,
+        landmarks=landmarks,
     )
+
+
+def _anchored(keyframes: Keyframes, truth: Truth) -> FloatArray | None:
+    """tTw (3,) by the first keyframe, None where the truth does not know its pose."""
+    index = match_stamps(truth.trajectory.stamps, keyframes.stamps[:1])
+    if not len(index) or index[0] < 0:
+        return None
+    return anchored_alignment(keyframes.wTb[0], truth.trajectory.wTb[index[0]])
 
 
 def _read(folder: Path, name: str) -> tuple[bytes, str]:
@@ -244,20 +290,9 @@ def _truth_dict(errors: TruthErrors) -> dict[str, Any]:
             "min_iou": float(regions.iou.min()) if regions.iou.size else None,
             "class_right": regions.class_right,
         },
-        "keyframes": _nees_dict(errors.nees),
-    }
-
-
-def _nees_dict(consistency: Nees | str) -> dict[str, Any]:
-    if isinstance(consistency, str):
-        return {"nees_mean": None, "reason": consistency}
-    return {
-        "nees_mean": consistency.mean,
-        "nees_expected": consistency.dimension,
-        "nees_band_95": list(consistency.band),
-        "inside_own_95": consistency.inside,
-        "counted": len(consistency.values),
-        "covariances_not_positive_definite": consistency.improper,
+        "keyframes": nees_dict(errors.nees),
+        **({} if errors.observations is None else observations_dict(errors.observations)),
+        **({} if errors.landmarks is None else landmarks_dict(errors.landmarks)),
     }
 
 
@@ -300,18 +335,13 @@ def _truth_rows(errors: TruthErrors) -> Iterator[Row]:
         if metres is not None and degrees is not None:
             yield name, f"{100 * metres.rmse:.2f} cm, {degrees.rmse:.2f}° RMS"
     yield "poses with truth", f"{poses.matched} of {poses.total}"
-    yield "keyframe NEES", _nees_text(errors.nees)
+    yield "keyframe NEES", nees_text(errors.nees)
     yield from _region_rows(errors)
     yield from _gateway_rows(errors)
-
-
-def _nees_text(n: Nees | str) -> str:
-    if isinstance(n, str):
-        return f"not known: {n}"
-    return (
-        f"{n.mean:.2f}, expected {n.band[0]:.2f}-{n.band[1]:.2f}; "
-        f"{100 * n.inside:.0f} % in their 95 % region"
-    )
+    if errors.observations is not None:
+        yield from observation_rows(errors.observations)
+    if errors.landmarks is not None:
+        yield from landmark_rows(errors.landmarks)
 
 
 def _region_rows(errors: TruthErrors) -> Iterator[Row]:
