@@ -144,17 +144,24 @@ class DataAssociation:
         found: list[_Candidate] = []
         if not self.tracks or not sights:
             return found
-        centres = np.array([track.state.wTr[:3, 3] for track in self.tracks])
-        spread = np.array([np.trace(track.state.covariance[3:6, 3:6]) for track in self.tracks])
-        anchors = np.array([track.keyframe for track in self.tracks])
-        moves = relative[anchors]
+        states = [track.state for track in self.tracks]
+        centres = np.array([state.wTr[:3, 3] for state in states])
+        normals = np.array([state.wTr[:3, 2] for state in states])
+        turns = np.array([state.wTr[:3, :3] for state in states])
+        moved = np.array([state.covariance[3:6, 3:6] for state in states])
+        moves = relative[[track.keyframe for track in self.tracks]]
+        # By the centres alone first: the same distance, with three measurements in place of twelve
+        predicted, by_point, by_pose = project_points(centres, pose)
+        noise = by_pose @ moves @ by_pose.transpose(0, 2, 1)
+        noise += by_point @ turns @ moved @ (by_point @ turns).transpose(0, 2, 1)
+        known = np.flatnonzero(np.isfinite(predicted).all(axis=1) & np.isfinite(noise).all((1, 2)))
         for j, sight in enumerate(sights):
-            away = centres - sight.state.wTr[:3, 3]
-            lever = np.linalg.norm(sight.state.wTr[:2, 3] - pose.wTb[:2])
-            variance = spread + np.trace(sight.state.covariance[3:6, 3:6])
-            variance += moves[:, 0, 0] + moves[:, 1, 1] + lever**2 * moves[:, 2, 2]
-            near = np.isfinite(variance) & ((away**2).sum(axis=1) <= self._gate * variance)
-            for l in np.flatnonzero(near):  # noqa: E741
+            facing = normals[known] @ sight.state.wTr[:3, 2] > 0.0  # not from the other side
+            seen = project_points(sight.state.wTr[None, :3, 3], pose)[0][0]
+            spread = noise[known] + sight.corners.covariances.mean(axis=0)
+            away = seen - predicted[known]
+            far = np.einsum("ni,nij,nj->n", away, np.linalg.inv(spread), away)
+            for l in known[facing & (far <= self._gate)]:  # noqa: E741
                 candidate = self._compare(int(l), j, sight, pose, moves[l])
                 if candidate is not None:
                     found.append(candidate)
@@ -165,8 +172,6 @@ class DataAssociation:
     ) -> _Candidate | None:
         """The best of the four orders of corners, or None outside the gate."""
         track = self.tracks[number].state
-        if track.wTr[:3, 2] @ sight.state.wTr[:3, 2] <= 0.0:
-            return None  # seen from the other side
         predicted, by_corners, by_pose = project(track.corners, pose)
         if not np.isfinite(predicted).all():
             return None
@@ -272,12 +277,28 @@ def joint_distance(candidates: Sequence[_Candidate]) -> float:
     return total - float(vector @ np.linalg.solve(information, vector))
 
 
-def project(w_points: FloatArray, pose: FramePose) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (4, 3) of the world in the images of a frame.
+def project(corners: FloatArray, pose: FramePose) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Corners (4, 3) of the world in the images of a frame.
 
     Returns:
-        x left, x right and y (4, 3), px, NaN behind the camera; derivatives (12, 12) by the points
+        x left, x right and y (4, 3), px, NaN behind the camera; derivatives (12, 12) by the corners
         and (12, 3) by the planar pose of the robot (tangent of gtsam.Pose2).
+    """
+    pixels, by_point, by_pose = project_points(corners, pose)
+    by_corners = np.zeros((12, 12))
+    for i, block in enumerate(by_point):
+        by_corners[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block
+    return pixels, by_corners, by_pose.reshape(12, 3)
+
+
+def project_points(
+    w_points: FloatArray, pose: FramePose
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (n, 3) of the world in the images of a frame.
+
+    Returns:
+        x left, x right and y (n, 3), px, NaN behind the camera; derivatives (n, 3, 3) by each point
+        and (n, 3, 3) by the planar pose of the robot (tangent of gtsam.Pose2).
     """
     wTc = pose.wTc
     rotation = wTc[:3, :3]
@@ -294,18 +315,14 @@ def project(w_points: FloatArray, pose: FramePose) -> tuple[FloatArray, FloatArr
     local[:, 2, 1] = camera.fy / depth
     local[:, 0, 2], local[:, 1, 2] = -camera.fx * x / depth, -camera.fx * right / depth
     local[:, 2, 2] = -camera.fy * y / depth
-    by_world = local @ rotation.T
-    by_points = np.zeros((3 * len(w_points), 3 * len(w_points)))
-    for i, block in enumerate(by_world):
-        by_points[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block
+    by_point = local @ rotation.T
     c, s = np.cos(pose.wTb[2]), np.sin(pose.wTb[2])
     # The robot moves by (dx, dy) in its frame and turns: points move the other way
-    forward, leftward = np.array([c, s, 0.0]), np.array([-s, c, 0.0])
     arm = w_points - np.append(pose.wTb[:2], 0.0)
-    turning = np.column_stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))])
-    by_pose = -np.stack([by_world @ forward, by_world @ leftward], axis=-1)
-    by_turn = -np.einsum("nij,nj->ni", by_world, turning)
-    return pixels, by_points, np.concatenate([by_pose, by_turn[..., None]], axis=-1).reshape(-1, 3)
+    ways = np.zeros((len(w_points), 3, 3))
+    ways[:, :2, 0], ways[:, :2, 1] = [c, s], [-s, c]
+    ways[:, 0, 2], ways[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    return pixels, by_point, -by_point @ ways
 
 
 def overlap(one: RectangleState, other: RectangleState) -> float:
