@@ -168,7 +168,8 @@ class ViewMeasurements:
         rows = []
         for face, i in zip(self.faces, self.which, strict=True):
             slopes = face.slopes(box.points(FACE_SIGNS[i]))
-            rows.append(np.einsum("mki,kij->mj", slopes, _corner_slopes(box, face, int(i))))
+            by_box = face.wTc[:3, :3].T @ box_slopes(box, FACE_SIGNS[i])
+            rows.append(np.einsum("mki,kij->mj", slopes, by_box))
         return np.concatenate(rows)
 
     def whitener(self, box: Box) -> FloatArray:
@@ -186,15 +187,13 @@ class ViewMeasurements:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(total)), np.float64)
 
 
-def _corner_slopes(box: Box, face: FaceMeasurement, which: int) -> FloatArray:
-    """Derivatives (4, 3, 9) of the face's corners in c by the box."""
-    signs = FACE_SIGNS[which]
+def box_slopes(box: Box, signs: FloatArray) -> FloatArray:
+    """Derivatives (..., 3, 9) of the corners with the given signs (..., 3), in w, by the box."""
     q = 0.5 * signs * box.size
-    cRo = face.wTc[:3, :3].T @ box.rotation
-    slopes = np.empty((4, 3, UNKNOWNS))
-    slopes[..., :3] = -cRo @ _cross_matrices(q)
-    slopes[..., 3:6] = cRo
-    slopes[..., 6:] = cRo * (0.5 * signs[:, None, :])
+    slopes = np.empty((*signs.shape, UNKNOWNS))
+    slopes[..., :3] = -box.rotation @ _cross_matrices(q.reshape(-1, 3)).reshape(*signs.shape, 3)
+    slopes[..., 3:6] = box.rotation
+    slopes[..., 6:] = box.rotation * (0.5 * signs[..., None, :])
     return slopes
 
 

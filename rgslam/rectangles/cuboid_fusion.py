@@ -76,6 +76,13 @@ class FittedCuboid:
         return Box(self.rotation, self.centre, self.size)
 
     @property
+    def wTo(self) -> FloatArray:
+        """Pose (4, 4) of its frame."""
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.rotation, self.centre
+        return pose
+
+    @property
     def size_sigma(self) -> FloatArray:
         """Standard deviations (3,) of the sizes, m."""
         return np.sqrt(np.diagonal(self.covariance)[6:])
@@ -169,7 +176,7 @@ def fuse_cuboids(
             if cuboid is None or _overlaps_any(cuboid.box, found):
                 continue
             free &= ~used
-            found.append(_upright(cuboid, np.asarray(up, float)))
+            found.append(upright(cuboid, np.asarray(up, float)))
     return tuple(sorted(found, key=lambda c: -len(c.faces)))
 
 
@@ -400,8 +407,8 @@ def _overlaps_any(box: Box, found: Sequence[FittedCuboid]) -> bool:
     return any(reaches_into(box, other) or reaches_into(other, box) for other in others)
 
 
-def _upright(cuboid: FittedCuboid, up: FloatArray) -> FittedCuboid:
-    """Axes named so that z is nearest to up and x, then, nearest to x of w."""
+def upright(cuboid: FittedCuboid, up: FloatArray) -> FittedCuboid:
+    """The same box, axes named so that z is nearest to up and x, then, nearest to x of w."""
     axes = np.concatenate([cuboid.rotation.T, -cuboid.rotation.T])
     z = axes[int((axes @ up).argmax())]
     level = axes[np.abs(axes @ z) < 0.5]
