@@ -35,6 +35,9 @@ _COUNTS = {
     "regions": "regions",
     "gateways": "gateways",
     "crossings": "crossings",
+    "stereo_frames": "stereo frames",
+    "observations": "rectangles in frames",
+    "rectangles": "rectangles in the map",
     "loops_accepted": "loops accepted",
     "loops_rejected": "loops rejected",
 }

@@ -12,7 +12,7 @@ from __future__ import annotations
 import io
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,9 +50,14 @@ _FONT = "DejaVu Sans"  # comes with Matplotlib: the same letters on every machin
 
 _OCCUPIED, _UNKNOWN, _FREE = "#2b2f36", "#e9ecef", "#ffffff"
 _PATH, _TEXT, _QUIET_TEXT = "#59636e", "#1f2328", "#59636e"
+_RECTANGLE, _SIGHT = "#b5179e", "#c65bb6"
 
 _REGION_LABEL_SIZES = (13.0, 11.0, 9.5)  # pt, the largest that fits
 _GATEWAY_LABEL_SIZE = 10.0  # pt
+
+
+def _no_corners() -> FloatArray:
+    return np.zeros((0, 4, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +70,8 @@ class Picture:
     w_path: FloatArray  # (N, 2), where the robot went, w; empty where nobody knows
     title: str
     subtitle: str
+    rectangles: FloatArray = field(default_factory=_no_corners)  # (n, 4, 3), corners, w
+    sights: FloatArray = field(default_factory=_no_corners)  # (n, 4, 3), of single frames, w
 
 
 def draw_map(rg_map: RGMap) -> bytes:
@@ -120,6 +127,10 @@ def _picture_of_map(rg_map: RGMap) -> Picture:
         _count(len(rg_map.keyframes.stamps), "keyframe"),
         _count(loops, "loop"),
     ]
+    if rg_map.frames:
+        counts += [_count(len(rg_map.rectangles), "rectangle")]
+        counts += [_count(len(rg_map.frames), "stereo frame")]
+    sights = [frame.corners(rg_map.keyframes.wTb[frame.keyframe]) for frame in rg_map.frames]
     return Picture(
         regions=rg_map.regions,
         gateways=rg_map.gateways,
@@ -127,6 +138,8 @@ def _picture_of_map(rg_map: RGMap) -> Picture:
         w_path=np.asarray(rg_map.trajectory.wTb, float).reshape(-1, 3)[:, :2],
         title=rg_map.run.recording + (" (partial map)" if rg_map.run.partial else ""),
         subtitle=" · ".join(counts),
+        rectangles=np.array([r.corners for r in rg_map.rectangles]).reshape(-1, 4, 3),
+        sights=np.concatenate([_no_corners(), *sights]),
     )
 
 
@@ -215,6 +228,10 @@ def _draw_legend(figure: Any, picture: Picture, height: float) -> None:
         handles.append(line)
     if len(picture.w_path):
         handles.append(Line2D([], [], color=_PATH, linewidth=1.0, label="trajectory"))
+    if len(picture.rectangles):
+        handles.append(Line2D([], [], color=_RECTANGLE, linewidth=2.6, label="rectangle"))
+    if len(picture.sights):
+        handles.append(Line2D([], [], color=_SIGHT, linewidth=0.8, label="sight in a frame"))
     present = {gateway.label for gateway in picture.gateways}
     for label in (label for label in GatewayClass if label in present):
         colour = GATEWAY_COLOURS[label]
@@ -263,6 +280,7 @@ def _draw_content(ax: Any, picture: Picture, extent: tuple[float, float, float, 
         # A third of a pixel cannot be seen.
         path = simplify_path(picture.w_path, 0.3 / _px_per_m(ax))
         ax.plot(*path.T, color=_PATH, linewidth=0.7, alpha=0.75, zorder=4)
+    _draw_rectangles(ax, picture)
     _draw_gateways(ax, picture.gateways)
     _draw_labels(ax, picture, colours)
 
@@ -317,6 +335,19 @@ def _draw_regions(ax: Any, regions: Sequence[Region], colours: dict[int, str]) -
         segments = [line.endpoints for line in region.line_segments]
         ax.add_collection(
             LineCollection(segments, colors=strong, linewidths=2.2, capstyle="round", zorder=5),
+            autolim=False,
+        )
+
+
+def _draw_rectangles(ax: Any, picture: Picture) -> None:
+    """From above: what hangs on a wall is a stroke, what lies is an outline."""
+    for corners, colour, width, alpha, zorder in (
+        (picture.sights, _SIGHT, 0.8, 0.45, 5.4),
+        (picture.rectangles, _RECTANGLE, 2.6, 1.0, 5.6),
+    ):
+        outlines = corners[:, [0, 1, 2, 3, 0], :2]
+        ax.add_collection(
+            LineCollection(outlines, colors=colour, linewidths=width, alpha=alpha, zorder=zorder),
             autolim=False,
         )
 

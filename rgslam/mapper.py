@@ -26,7 +26,7 @@ from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.landmarks import describe_landmarks
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
-from rgslam.observations import FrameObservations, observe_frame
+from rgslam.observations import FrameObservations, PlacedFrame, observe_frame
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
 from rgslam.online_fusion import OnlineFusion
@@ -38,6 +38,7 @@ from rgslam.stage_clock import StageClock
 from rgslam.types import (
     EdgeKind,
     FloatArray,
+    Gateway,
     Keyframes,
     LaserScan,
     Message,
@@ -417,7 +418,7 @@ class Mapper:
             run=RunInfo(
                 version=__version__,
                 recording=recording,
-                counts=self._counts(len(segmentation.regions), gateways),
+                counts=self._counts(len(segmentation.regions), gateways, frames, len(landmarks)),
                 seconds=self.clock.seconds(),
                 peak_memory_mb=self.clock.peak_memory_mb(),
                 warnings=(*warnings, *self._warnings(), *segmentation.warnings),
@@ -438,7 +439,13 @@ class Mapper:
         stamps = np.array([self._track.scans[k].stamp for k in indices])
         return Keyframes(indices, stamps, self._poses.copy(), covariances)
 
-    def _counts(self, regions: int, gateways: tuple) -> dict[str, int]:  # type: ignore[type-arg]
+    def _counts(
+        self,
+        regions: int,
+        gateways: tuple[Gateway, ...],
+        frames: list[PlacedFrame],
+        rectangles: int,
+    ) -> dict[str, int]:
         counts = {
             "scans": len(self._track.scans),
             "scans_predicted_only": self._track.predicted_only,
@@ -449,6 +456,10 @@ class Mapper:
             "gateways": len(gateways),
             "crossings": sum(len(gateway.crossings) for gateway in gateways),
         }
+        if frames:
+            counts["stereo_frames"] = len(frames)
+            counts["observations"] = sum(len(f.observations.rectangles) for f in frames)
+            counts["rectangles"] = rectangles
         for reason, count in sorted(self._closer.counts().items()):
             counts[f"loops_rejected: {reason}"] = count
         return counts

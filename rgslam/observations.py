@@ -10,8 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from rgslam.camera import StereoCamera
 from rgslam.config import Config
+from rgslam.geometry import compose
 from rgslam.rectangles.detection import DetectedRectangle, detect_rectangles
 from rgslam.rectangles.rejection import Rejection
 from rgslam.types import FloatArray, StereoPair
@@ -37,6 +40,16 @@ class PlacedFrame:
     keyframe: int  # number of the keyframe before it
     kTb: FloatArray  # (3,), pose of the robot at the stamp of the images, in the keyframe
     covariance: FloatArray  # (3, 3), tangent space of gtsam.Pose2 at kTb: x, y, theta
+
+    def corners(self, wTk: FloatArray) -> FloatArray:
+        """Corners (n, 4, 3) of its rectangles in w, for the pose (3,) of its keyframe."""
+        x, y, theta = compose(wTk, self.kTb)
+        wTb = np.eye(4)
+        wTb[:2, :2] = [[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]]
+        wTb[:2, 3] = x, y
+        wTc = wTb @ self.observations.bTc
+        c_corners = np.array([r.corners for r in self.observations.rectangles]).reshape(-1, 4, 3)
+        return np.asarray(c_corners @ wTc[:3, :3].T + wTc[:3, 3])
 
 
 def observe_frame(pair: StereoPair, config: Config | None = None) -> FrameObservations:

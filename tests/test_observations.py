@@ -149,3 +149,33 @@ def test_rejections_are_named() -> None:
     seen = FrameObservations(1.0, CAMERA, np.eye(4), (), {Rejection.NO_DEPTH: 3})
     text = encode_observations((PlacedFrame(seen, 0, np.zeros(3), np.eye(3)),))
     assert '"rejected": {"NO_DEPTH": 3}' in text.decode()
+
+
+# --- In the picture -------------------------------------------------------------------------------
+
+
+def test_corners_in_the_world(frames: tuple[PlacedFrame, ...]) -> None:
+    """A camera that looks along x sees z ahead: a board 2 m off, on a robot turned by 90 degrees."""
+    frame = dataclasses.replace(frames[0], kTb=np.array([1.0, 0.0, 0.0]))
+    w_corners = frame.corners(np.array([5.0, 5.0, np.pi / 2]))
+    assert w_corners.shape == (2, 4, 3)
+    for corners, found in zip(w_corners, frame.observations.rectangles, strict=True):
+        right, down, ahead = found.corners.T
+        # The robot stands at (5, 6) looking along y; the camera 0.2 ahead, 0.06 left, 1.1 up
+        expected = np.column_stack([5.0 - 0.06 + right, 6.0 + 0.2 + ahead, 1.1 - down])
+        np.testing.assert_allclose(corners, expected, atol=1e-9)
+
+
+def test_sights_are_drawn(frames: tuple[PlacedFrame, ...]) -> None:
+    import cv2
+
+    from rgslam.drawing import draw_map
+
+    def colours(png: bytes) -> set[tuple[int, ...]]:
+        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR_RGB)
+        return set(map(tuple, image.reshape(-1, 3).tolist()))
+
+    without = office_map()
+    with_frames = dataclasses.replace(without, frames=frames)
+    new = colours(draw_map(with_frames)) - colours(draw_map(without))
+    assert any(red > 180 and green < 170 and blue > 150 for red, green, blue in new)
