@@ -202,7 +202,7 @@ class RectangleConfig(StageConfig):
     corner_sigma_px: float = Field(0.2, gt=0.0)  # what a good calibration leaves of lens and rows
     shape_sigmas: float = Field(4.0, gt=0.0)  # of the right angle, before depth is asked for
     # One image alone: ends of sides past which a line goes on, and how well directions are known.
-    max_passes: int = Field(1, ge=0, le=8)
+    max_loose_ends: int = Field(3, ge=0, le=8)
     max_direction_sigma_deg: float = Field(2.0, gt=0.0)
     min_similarity: float = Field(0.3, ge=-1.0, le=1.0)  # of the borders in both images
     # Depth images: noise of the inverse depth (1/m; 1.5 mm at 1 m, as structured light has), error
@@ -212,8 +212,7 @@ class RectangleConfig(StageConfig):
     min_known_depth: float = Field(0.3, gt=0.0, le=1.0)
     min_on_plane: float = Field(0.7, gt=0.0, le=1.0)
     max_relative_sigma: float = Field(0.15, gt=0.0)  # of width and height
-    prior: float = Field(0.1, gt=0.0, lt=1.0)  # share of hypotheses that are rectangles
-    min_probability: float = Field(0.5, ge=0.0, le=1.0)  # of being one, after verification
+    min_probability: float = Field(0.25, ge=0.0, le=1.0)  # of being one, after verification
     max_overlap: float = Field(0.8, gt=0.0, le=1.0)  # of two rectangles, intersection over union
 
 

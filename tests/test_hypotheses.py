@@ -55,7 +55,7 @@ def test_one_quadrangle_is_one_hypothesis() -> None:
     # The drawing is good to 1/16 px, each of the two lines of a corner to 0.07 px.
     assert largest_error(found, QUAD) < 0.2
     assert found.support.min() > 0.9
-    assert found.passes[0] == 0
+    assert found.loose_ends[0] == 0
 
 
 def test_corners_run_counter_clockwise_for_the_eye() -> None:

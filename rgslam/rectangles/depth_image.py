@@ -19,7 +19,7 @@ from rgslam.rectangles.detection import (
     of_rectangular_shape,
 )
 from rgslam.rectangles.gradients import gradient_image
-from rgslam.rectangles.hypotheses import PASS_COST, Quadrangles, find_quadrangles
+from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
 from rgslam.rectangles.line_segments import lines_of_gradient
 from rgslam.rectangles.maximum_likelihood import (
     CornerMeasurements,
@@ -28,7 +28,7 @@ from rgslam.rectangles.maximum_likelihood import (
 )
 from rgslam.rectangles.rejection import Rejection
 from rgslam.rectangles.rivals import without_rivals
-from rgslam.rectangles.verification import shape_probability
+from rgslam.rectangles.verification import rectangle_probability
 from rgslam.types import FloatArray
 
 _GRID = 12  # samples each way inside a quadrangle
@@ -87,7 +87,9 @@ def _measured(
         depth_sigmas=sigmas,
     )
     estimates = fit_rectangles(measurements, camera)
-    probability = shape_probability(estimates.costs, quads.passes, section)
+    probability = rectangle_probability(
+        quads.support, quads.support, estimates.costs, quads.loose_ends
+    )
     spread = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):
         vague = ~(spread <= section.max_relative_sigma * estimates.sizes).all(axis=1)
@@ -101,8 +103,7 @@ def _measured(
     ):
         rejected[reason] += int((good & failed).sum())
         good &= ~failed
-    rank = quads.support.mean(axis=1) + 0.2 * probability - 2.0 * PASS_COST * quads.passes
-    order = np.flatnonzero(good)[np.argsort(-rank[good], kind="stable")]
+    order = np.flatnonzero(good)[np.argsort(-probability[good], kind="stable")]
     kept = without_rivals(quads.take(order), section.max_overlap)
     rejected[Rejection.DUPLICATE] += len(order) - len(kept)
     return tuple(_rectangle(int(i), quads, estimates, probability) for i in order[kept])

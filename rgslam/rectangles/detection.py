@@ -15,7 +15,7 @@ from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.config import Config
 from rgslam.errors import CalibrationError
 from rgslam.rectangles.gradients import GradientImage, gradient_image
-from rgslam.rectangles.hypotheses import PASS_COST, Quadrangles, find_quadrangles
+from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
 from rgslam.rectangles.line_segments import lines_of_gradient
 from rgslam.rectangles.maximum_likelihood import (
     CornerMeasurements,
@@ -154,7 +154,7 @@ def from_lower_left(quads: Quadrangles) -> Quadrangles:
         covariances,
         quads.lines[rows, order],
         quads.support[rows, order],
-        quads.passes,
+        quads.loose_ends,
         quads.rejected,
     )
 
@@ -212,7 +212,9 @@ def _accept(
     rejected: Counter[Rejection],
 ) -> tuple[DetectedRectangle, ...]:
     section = config.rectangles
-    probability = rectangle_probability(measured, estimates.costs, quads.passes, section)
+    probability = rectangle_probability(
+        quads.support, measured.support, estimates.costs, quads.loose_ends
+    )
     sigma = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):
         vague = ~(sigma <= section.max_relative_sigma * estimates.sizes).all(axis=1)
@@ -227,17 +229,10 @@ def _accept(
     for reason, failed in tests:
         rejected[reason] += int((good & failed).sum())
         good &= ~failed
-    rank = _ranks(quads, measured, probability)
-    order = np.flatnonzero(good)[np.argsort(-rank[good], kind="stable")]
+    order = np.flatnonzero(good)[np.argsort(-probability[good], kind="stable")]
     kept = without_rivals(quads.take(order), section.max_overlap)
     rejected[Rejection.DUPLICATE] += len(order) - len(kept)
     return tuple(_rectangle(int(i), quads, measured, estimates, probability) for i in order[kept])
-
-
-def _ranks(quads: Quadrangles, measured: RightCorners, probability: FloatArray) -> FloatArray:
-    """Who explains an overlap better (k,): edges in both images, borders that end at corners."""
-    border = np.minimum(quads.support, measured.support)
-    return border.mean(axis=1) + 0.2 * probability - 2.0 * PASS_COST * quads.passes
 
 
 def _rectangle(

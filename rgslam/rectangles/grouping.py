@@ -26,6 +26,9 @@ REASONS = (
 )
 _SMALL, _PARALLEL, _CROSSED, _ANGLE, _WEAK = range(5)
 _GOOD = -1
+# px from a corner between which a line is asked whether it goes on, or stops short of it, and the
+# share of an edge that says yes.
+_NEAR_PX, _FAR_PX, _EDGE = 3.0, 9.0, 0.6
 _MOST_U = 400_000  # open U's kept; an image of clutter has 50,000
 _MOST_FOUND = 50_000  # quadrangles kept, in the order of the lines (the longest first)
 
@@ -169,7 +172,7 @@ def _closed(
     """Pairs of U's with the same arms; `side` etc. are sorted by arms."""
     members = np.empty((_MOST_FOUND, 4), dtype=np.int64)
     quality = np.empty((_MOST_FOUND, 4))
-    passes = np.empty(_MOST_FOUND, dtype=np.int64)
+    loose_ends = np.empty(_MOST_FOUND, dtype=np.int64)
     refused = np.zeros(5, dtype=np.int64)
     lines = np.empty(4, dtype=np.int64)
     share, room = np.empty(4), np.empty((4, 3))
@@ -201,17 +204,17 @@ def _closed(
                 if reason != _GOOD:
                     refused[reason] += 1
                     continue
-                crossed, passed = _crossed(lines, along, cumulated, first, count, begin)
+                crossed, loose = _crossed(lines, along, cumulated, first, count, begin)
                 if crossed > limits[4]:
                     refused[_WEAK] += 1
                     continue
                 if total < _MOST_FOUND:
                     for s in range(4):
                         members[total, s], quality[total, s] = lines[s], share[s]
-                    passes[total] = passed
+                    loose_ends[total] = loose
                     total += 1
         start = end
-    return members[:total].copy(), quality[:total].copy(), passes[:total].copy(), refused
+    return members[:total].copy(), quality[:total].copy(), loose_ends[:total].copy(), refused
 
 
 @njit(cache=True)
@@ -247,26 +250,27 @@ def _crossed(
     lines: IntArray, along: FloatArray, cumulated: FloatArray, first: IntArray, count: IntArray,
     begin: FloatArray,
 ) -> tuple[int, int]:  # fmt: skip
-    """Corners past which both lines go on, and ends of sides past which the line goes on.
+    """Corners past which both lines go on, and ends of sides that do not end there.
 
-    A rectangle's border ends at its corners, or on one of the two lines at least.
+    A rectangle's border ends at its corners, or on one of the two lines at least. It does not end
+    before them either.
     """
-    crossed, passed = 0, 0
+    crossed, loose = 0, 0
     for s in range(4):
         i, j = lines[s], lines[(s + 1) % 4]
         before, after = lines[(s + 3) % 4], lines[(s + 2) % 4]
         out_i = 1.0 if along[i, j] > along[i, before] else -1.0
         out_j = 1.0 if along[j, i] > along[j, after] else -1.0
-        past_i = _share(
-            i, along[i, j] + 3 * out_i, along[i, j] + 9 * out_i, cumulated, first, count, begin
-        )
-        past_j = _share(
-            j, along[j, i] + 3 * out_j, along[j, i] + 9 * out_j, cumulated, first, count, begin
-        )
-        if past_i > 0.6 and past_j > 0.6:
-            crossed += 1
-        passed += (past_i > 0.6) + (past_j > 0.6)
-    return crossed, passed
+        beyond = 0
+        for line, place, out in ((i, along[i, j], out_i), (j, along[j, i], out_j)):
+            near, far = place + _NEAR_PX * out, place + _FAR_PX * out
+            past = _share(line, near, far, cumulated, first, count, begin) > _EDGE
+            near, far = place - _FAR_PX * out, place - _NEAR_PX * out
+            short = _share(line, near, far, cumulated, first, count, begin) < 1.0 - _EDGE
+            beyond += past
+            loose += past or short
+        crossed += beyond == 2
+    return crossed, loose
 
 
 @njit(cache=True)

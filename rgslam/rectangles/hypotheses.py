@@ -24,13 +24,13 @@ from rgslam.rectangles.grouping import (
     distinct,
     intersections,
 )
-from rgslam.rectangles.line_segments import ImageLines
+from rgslam.rectangles.line_segments import ImageLines, refine_lines
 from rgslam.rectangles.line_support import line_support
 from rgslam.rectangles.rejection import Rejection
 from rgslam.types import FloatArray, IntArray
 
-#: A line that goes on past a corner speaks against it as much as this share of the border unseen.
-PASS_COST = 0.05
+#: A side that does not end at its corner speaks against it as much as this share of the border.
+LOOSE_COST = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Quadrangles:
     covariances: FloatArray  # (k, 8, 8), px^2, of the corners' coordinates, of line fits and lens
     lines: IntArray  # (k, 4), side s joins corners s and s + 1 and lies on this line
     support: FloatArray  # (k, 4), share of each side on which the image has an edge
-    passes: IntArray  # (k,), of the eight ends of sides: past how many the line goes on
+    loose_ends: IntArray  # (k,), of the eight ends of sides: how many do not end at the corner
     rejected: Mapping[Rejection, int]
 
     def __len__(self) -> int:
@@ -54,7 +54,7 @@ class Quadrangles:
             self.covariances[index],
             self.lines[index],
             self.support[index],
-            self.passes[index],
+            self.loose_ends[index],
             self.rejected,
         )
 
@@ -71,14 +71,41 @@ def find_quadrangles(
     support = line_support(lines, gradient, config)
     corners = find_corners(lines, shape, config)
     diagonal = math.hypot(*shape)
-    members, quality, passes, counts = close_quadrangles(corners, support, diagonal, config)
+    members, quality, loose_ends, counts = close_quadrangles(corners, support, diagonal, config)
     for reason, count in zip(REASONS, counts, strict=True):
         rejected[reason] = rejected.get(reason, 0) + int(count)
     if not len(members):
         return _none(rejected)
-    found = _ranked(lines, corners, members, quality, passes, config)
+    found = _ranked(lines, corners, members, quality, loose_ends, config)
     rejected[Rejection.DUPLICATE] = len(members) - len(found.corners)
-    return replace(found, rejected=rejected)
+    return replace(_by_own_sides(found, len(lines), gradient, config), rejected=rejected)
+
+
+def _by_own_sides(
+    quads: Quadrangles, line_count: int, gradient: GradientImage, config: RectangleConfig
+) -> Quadrangles:
+    """Corners from edges fitted to the sides alone.
+
+    A line may be longer than the side on it: along a row of windows that is hung less straight than
+    an edge is seen, or that the lens bends.
+    """
+    before, after = np.roll(quads.lines, 1, axis=1), np.roll(quads.lines, -1, axis=1)
+    ends = np.minimum(before, after) * line_count + np.maximum(before, after)
+    # Many quadrangles share a side: each is fitted once.
+    _, first, index = np.unique(
+        quads.lines * line_count**2 + ends, return_index=True, return_inverse=True
+    )
+    sides = np.stack([quads.corners, np.roll(quads.corners, -1, axis=1)], axis=2)
+    own = refine_lines(sides.reshape(-1, 2, 2)[first], gradient, config)
+    corners, covariances = corners_of_lines(own, index.reshape(-1, 4), config.corner_sigma_px)
+    moved = np.abs(corners - quads.corners).max(axis=(1, 2))
+    seen = own.seen[index.reshape(-1, 4)].min(axis=1)
+    better = (moved <= config.refine_reach_px) & (seen >= config.min_side_support)
+    return replace(
+        quads,
+        corners=np.where(better[:, None, None], corners, quads.corners),
+        covariances=np.where(better[:, None, None], covariances, quads.covariances),
+    )
 
 
 def _none(rejected: Mapping[Rejection, int]) -> Quadrangles:
@@ -157,12 +184,12 @@ def _ranked(
     corners: Corners,
     members: IntArray,
     quality: FloatArray,
-    passes: IntArray,
+    loose_ends: IntArray,
     config: RectangleConfig,
 ) -> Quadrangles:
     """Lines (k, 4) around -> the best hypotheses without copies, corners counter-clockwise."""
     points = corners.points[np.roll(members, 1, axis=1), members]  # between sides s - 1 and s
-    order = np.argsort(-hypothesis_scores(points, quality, passes), kind="stable")
+    order = np.argsort(-hypothesis_scores(points, quality, loose_ends), kind="stable")
     kept = order[distinct(points[order], config.double_px, config.max_hypotheses)]
     points, members, quality = points[kept], members[kept], quality[kept]
     side = np.roll(points, -1, axis=1) - points
@@ -171,13 +198,13 @@ def _ranked(
     members = np.where(clockwise[:, None], members[:, ::-1], members)
     quality = np.where(clockwise[:, None], quality[:, ::-1], quality)
     points, covariances = corners_of_lines(lines, members, config.corner_sigma_px)
-    return Quadrangles(points, covariances, members, quality, passes[kept], {})
+    return Quadrangles(points, covariances, members, quality, loose_ends[kept], {})
 
 
-def hypothesis_scores(corners: FloatArray, support: FloatArray, passes: IntArray) -> FloatArray:
+def hypothesis_scores(corners: FloatArray, support: FloatArray, loose_ends: IntArray) -> FloatArray:
     """What ranks hypotheses (k,): edges on the sides, ends at the corners, size as a tie-break."""
     side = np.roll(corners, -1, axis=1) - corners
     perimeter = np.linalg.norm(side, axis=2).sum(axis=1)
     # The weakest side counts as much as the mean.
     border = 0.5 * support.mean(axis=1) + 0.5 * support.min(axis=1)
-    return border - PASS_COST * passes + 0.02 * np.log(perimeter)
+    return border - LOOSE_COST * loose_ends + 0.02 * np.log(perimeter)

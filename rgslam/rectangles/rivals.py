@@ -22,11 +22,13 @@ def without_rivals(quads: Quadrangles, max_overlap: float) -> IntArray:
     would hide a border. Two that nearly coincide read the same border in two ways. So do two that
     share lines, but for a part of the better one with an end to its own border, as a pane has.
     """
-    return _kept(np.ascontiguousarray(quads.corners), quads.lines, quads.passes, max_overlap)
+    return _kept(np.ascontiguousarray(quads.corners), quads.lines, quads.loose_ends, max_overlap)
 
 
 @njit(cache=True)
-def _kept(corners: FloatArray, lines: IntArray, passes: IntArray, max_overlap: float) -> IntArray:
+def _kept(
+    corners: FloatArray, lines: IntArray, loose_ends: IntArray, max_overlap: float
+) -> IntArray:
     kept = np.empty(len(corners), dtype=np.int64)
     total = 0
     room = np.empty((2, 8, 2))  # a clipped quadrangle has eight corners at most
@@ -44,7 +46,7 @@ def _kept(corners: FloatArray, lines: IntArray, passes: IntArray, max_overlap: f
             small, large = (i, k) if area[i] < area[k] else (k, i)
             if common <= 0.5 * _TOUCH_PX * perimeter[small]:
                 continue  # beside each other
-            part = small == i and passes[i] <= 1
+            part = small == i and loose_ends[i] <= 1
             if _outside(corners[small], corners[large]) > _TOUCH_PX or (
                 not part and _shared(lines[i], lines[k]) >= 2
             ):

@@ -46,7 +46,7 @@ def find_rectangular(
     gradient = gradient_image(image)
     quads = find_quadrangles(lines_of_gradient(image, gradient, config), gradient, config)
     right = shape_score(quads.corners, quads.covariances, camera) <= config.shape_sigmas
-    ended = quads.passes <= config.max_passes
+    ended = quads.loose_ends <= config.max_loose_ends
     directions = side_directions(quads.corners, camera)
     sigmas = _direction_sigmas(quads.corners, quads.covariances, camera)
     sure = (sigmas <= np.radians(config.max_direction_sigma_deg)).all(axis=1)

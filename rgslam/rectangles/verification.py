@@ -2,15 +2,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Does the right image agree that this is a rectangle? An answer as a probability.
 
-Two questions, answered by Bayes and multiplied. Is this the right place in the right image? Edges
-on the predicted sides say so, against as many as chance puts there. Are the four lines the border
-of one rectangle, or of several things? The residual of the rectangle fitted to the corners of both
-images says so, and whether the lines end at the corners.
+Four lines that meet are mostly no border of one thing: jambs, ceiling and floor bound a piece of
+wall. What tells the border of a thing is, above all, that its sides end at its corners; then that
+its weakest side is seen whole in either image, and that one rectangle fits the corners of both.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,17 +19,14 @@ from rgslam.rectangles.hypotheses import corners_of_lines
 from rgslam.rectangles.line_segments import refine_lines
 from rgslam.types import FloatArray, IntArray
 
-_SAMPLES = 16  # per side
-_REACH = 2.0  # px: an edge within 1.5 px of a side lies on it
-_EDGE_RUN = 8.0  # px of a side that have an edge, or none, together
-_SEEN = 0.9  # share of a true side that shows an edge
-_DECOYS = (-23.0, 23.0)  # px, shifts at which only chance puts edges on the sides
-# Four lines that are no rectangle miss one by 10 sigmas or so, in the four of the eight degrees of
-# freedom that are no matter of rows (one for the plane, three for parallels and right angle).
-_CHANCE_SPREAD, _SHAPE_DEGREES = 10.0, 4
-# Share of ends of sides past which the line goes on: on true rectangles, as where a door's jamb
-# meets the floor line, and on lines that cross by chance.
-_GOES_ON, _GOES_ON_BY_CHANCE = 0.15, 0.5
+# Log odds, by logistic regression over the hypotheses (1700, of which 100 are named things) of 76
+# frames of a simulated office, window panes and books left out as nobody has named them. Held out
+# halves agree with the stated probabilities; `tests/reliability.py` prints the table.
+_BASE, _LEFT, _RIGHT, _COST = -3.5, 4.7, 4.3, -0.6
+_LOOSE = -np.array([0.0, 2.0, 3.6, 4.8, 6.0, 7.2, 8.4, 9.6, 10.8])
+# A chi-square of eight degrees of freedom is larger in 0.1 % of the cases: beyond it the model is
+# wrong, at the rate at which errors of three times the stated size would be.
+_LARGEST_COST, _MISFIT = 26.0, -0.5 / 9.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,36 +65,23 @@ def measure_in_right(
 
 
 def rectangle_probability(
-    measured: RightCorners, costs: FloatArray, passes: IntArray, config: RectangleConfig
+    left_support: FloatArray, right_support: FloatArray, costs: FloatArray, loose_ends: IntArray
 ) -> FloatArray:
-    """Probability (k,) that the quadrangles are rectangles, and matched rightly.
+    """Probability (k,) that quadrangles are the borders of rectangular things, and matched rightly.
 
     Args:
-        measured: In the right image.
+        left_support: (k, 4), share of each side with an edge in the left image.
+        right_support: (k, 4), the same in the right one; the left one again where there is none.
         costs: (k,), chi-square of the maximum-likelihood rectangle.
-        passes: (k,), of the eight ends of sides, those past which the line goes on.
-        config: Prior.
+        loose_ends: (k,), of the eight ends of sides, those that do not end at the corner.
     """
-    side = np.roll(measured.corners, -1, axis=1) - measured.corners
-    length = np.linalg.norm(side, axis=2)
-    runs = length.sum(axis=1) / _EDGE_RUN
-    share = (measured.support * length).sum(axis=1) / np.maximum(length.sum(axis=1), 1e-9)
-    chance = 0.2
-    edges = share * np.log(_SEEN / chance) + (1 - share) * np.log((1 - _SEEN) / (1 - chance))
-    prior = math.log(config.prior / (1 - config.prior))
-    return _logistic(prior + runs * edges) * shape_probability(costs, passes, config)
-
-
-def shape_probability(costs: FloatArray, passes: IntArray, config: RectangleConfig) -> FloatArray:
-    """Probability (k,) that four lines are the border of one rectangle; arguments as above."""
-    # A rectangle's residuals have unit spread, those of anything else a wider one.
-    fit = _SHAPE_DEGREES * math.log(_CHANCE_SPREAD) - 0.5 * costs * (1 - _CHANCE_SPREAD**-2)
-    ends = passes * math.log(_GOES_ON / _GOES_ON_BY_CHANCE)
-    ends = ends + (8 - passes) * math.log((1 - _GOES_ON) / (1 - _GOES_ON_BY_CHANCE))
-    return _logistic(math.log(config.prior / (1 - config.prior)) + fit + ends)
-
-
-def _logistic(log_odds: FloatArray) -> FloatArray:
-    """Probability of log odds; 0 where there are none."""
-    known = np.nan_to_num(log_odds, nan=-50.0, neginf=-50.0, posinf=50.0)
-    return 1.0 / (1.0 + np.exp(-np.clip(known, -50.0, 50.0)))
+    costs = np.nan_to_num(costs, nan=np.inf)
+    log_odds = (
+        _BASE
+        + _LEFT * left_support.min(axis=1)
+        + _RIGHT * right_support.min(axis=1)
+        + _COST * np.log1p(costs)
+        + _MISFIT * np.maximum(costs - _LARGEST_COST, 0.0)
+        + _LOOSE[loose_ends]
+    )
+    return 1.0 / (1.0 + np.exp(-np.clip(log_odds, -50.0, 50.0)))
