@@ -27,7 +27,7 @@ _PUBLIC = {
     "reconstruct_rectangle": "rgslam.rectangles.reconstruct",
     "detect_rectangles": "rgslam.rectangles.detection",
     "fuse_cuboids": "rgslam.rectangles.cuboid_fusion",
-    "RectangleView": "rgslam.rectangles.cuboid_fusion",
+    "RectangleView": "rgslam.rectangles.possible_faces",
     "next_best_view": "rgslam.rectangles.next_best_view",
     "PinholeCamera": "rgslam.camera",
     "StereoCamera": "rgslam.camera",
@@ -66,10 +66,10 @@ if TYPE_CHECKING:
     from rgslam.predicted_scan import LaserModel as LaserModel
     from rgslam.predicted_scan import predict_scan as predict_scan
     from rgslam.recording_check import check_recording as check_recording
-    from rgslam.rectangles.cuboid_fusion import RectangleView as RectangleView
     from rgslam.rectangles.cuboid_fusion import fuse_cuboids as fuse_cuboids
     from rgslam.rectangles.detection import detect_rectangles as detect_rectangles
     from rgslam.rectangles.next_best_view import next_best_view as next_best_view
+    from rgslam.rectangles.possible_faces import RectangleView as RectangleView
     from rgslam.rectangles.reconstruct import reconstruct_rectangle as reconstruct_rectangle
     from rgslam.regions import segment_grid as segment_grid
     from rgslam.rg_map import RGMap as RGMap

@@ -20,13 +20,14 @@ from scipy.spatial.transform import Rotation
 
 from rgslam.camera import PinholeCamera
 from rgslam.config import Config
-from rgslam.rectangles.cuboid_fusion import RectangleView, fuse_cuboids
+from rgslam.rectangles.cuboid_fusion import fuse_cuboids
 from rgslam.rectangles.depth_image import detect_with_depth
 from rgslam.rectangles.detection import detect_rectangles
 from rgslam.rectangles.gradients import gradient_image
 from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
 from rgslam.rectangles.line_segments import lines_of_gradient
 from rgslam.rectangles.overlay import draw_overlay
+from rgslam.rectangles.possible_faces import RectangleView
 from rgslam.rectangles.single_image import find_rectangular
 from rgslam.stereo import read_calibration, rectification_maps, rectify_pair
 

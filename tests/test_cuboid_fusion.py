@@ -19,9 +19,11 @@ from rgslam.rectangles.cuboid_fit import (
     ViewMeasurements,
     pose_slopes,
 )
-from rgslam.rectangles.cuboid_fusion import FittedCuboid, RectangleView, fuse_cuboids
+from rgslam.rectangles.cuboid_fusion import fuse_cuboids
 from rgslam.rectangles.detection import DetectedRectangle
+from rgslam.rectangles.fitted_cuboid import FittedCuboid
 from rgslam.rectangles.maximum_likelihood import CornerMeasurements, fit_rectangles
+from rgslam.rectangles.possible_faces import RectangleView
 
 CORNER_SIGMA = 0.4  # px, in one image
 POSE_SIGMAS = np.array([0.002] * 3 + [0.004] * 3)  # rad, m

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from stereo_scenes import CAMERA, Board, box_boards, facing, render
 
-from rgslam.rectangles.cuboid_fusion import RectangleView, fuse_cuboids
+from rgslam.rectangles.cuboid_fusion import fuse_cuboids
 from rgslam.rectangles.detection import detect_rectangles
 from rgslam.rectangles.overlay import draw_overlay, size_texts
+from rgslam.rectangles.possible_faces import RectangleView
 
 
 def colourful(overlay: np.ndarray, point_px: np.ndarray) -> bool:

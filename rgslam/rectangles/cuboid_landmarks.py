@@ -11,11 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.special import chdtri
 
 from rgslam.rectangles.cuboid_fit import FACE_SIGNS, UNKNOWNS, Box, box_slopes
-from rgslam.rectangles.cuboid_fusion import FaceSight, FittedCuboid, upright
 from rgslam.rectangles.cuboids import EDGE_RADIUS, find_cuboids
+from rgslam.rectangles.fitted_cuboid import (
+    FaceSight,
+    FittedCuboid,
+    chi_square_at,
+    upright,
+    variance_factor,
+)
 from rgslam.rectangles.maximum_likelihood import corner_jacobians
 from rgslam.types import FloatArray, IntArray
 
@@ -23,7 +28,6 @@ from rgslam.types import FloatArray, IntArray
 JointCovariance = Callable[[Sequence[int]], FloatArray]
 
 _KEPT = 0.999  # share of true faces that the gate keeps
-_SURPRISE = 0.99  # chi-square above which the box or the covariance is not quite right
 _ITERATIONS = 20
 
 
@@ -77,7 +81,7 @@ def _assign(
     members: list[int] = []
     for i in np.argsort(best, kind="stable"):
         taken = {int(which[k]) // 4 for k in members}  # a side is one rectangle
-        if free[i] and best[i] <= chdtri(12, 1.0 - _KEPT) and which[i] // 4 not in taken:
+        if free[i] and best[i] <= chi_square_at(_KEPT, 12) and which[i] // 4 not in taken:
             members.append(int(i))
     return which, np.array(sorted(members), dtype=np.int64)
 
@@ -108,7 +112,7 @@ def _fit(
             break
     residual = weigh @ (points - box.points(signs)).ravel()
     cost, freedom = float(residual @ residual), len(residual) - UNKNOWNS
-    factor = cost / freedom if cost > chdtri(freedom, 1.0 - _SURPRISE) else 1.0
+    factor = variance_factor(cost, freedom)
     result = np.asarray(factor * np.linalg.inv(information), np.float64)
     return box.rotation, box.centre, box.size, result, cost, freedom, factor
 

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from rgslam.camera import PinholeCamera
 from rgslam.label_placement import LabelPlacer
-from rgslam.rectangles.cuboid_fusion import FittedCuboid
 from rgslam.rectangles.detection import DetectedRectangle
+from rgslam.rectangles.fitted_cuboid import FittedCuboid
 from rgslam.types import FloatArray
 
 _Canvas = npt.NDArray[np.uint8]

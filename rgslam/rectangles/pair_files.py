@@ -18,14 +18,11 @@ from scipy.spatial.transform import Rotation
 
 from rgslam.config import Config
 from rgslam.errors import MapError, RecordingError
-from rgslam.rectangles.cuboid_fusion import (
-    SIDE_NAMES,
-    FittedCuboid,
-    RectangleView,
-    fuse_cuboids,
-)
+from rgslam.rectangles.cuboid_fusion import fuse_cuboids
 from rgslam.rectangles.detection import DetectedRectangle, Detection, detect_rectangles
+from rgslam.rectangles.fitted_cuboid import SIDE_NAMES, FittedCuboid
 from rgslam.rectangles.overlay import draw_overlay
+from rgslam.rectangles.possible_faces import RectangleView
 from rgslam.stereo.calibration import StereoCalibration, read_calibration
 from rgslam.stereo.rectification import rectification_maps, rectify_pair
 from rgslam.types import GreyImage
