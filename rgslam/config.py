@@ -210,7 +210,7 @@ class RectangleConfig(StageConfig):
     inverse_depth_sigma: float = Field(0.0015, gt=0.0)
     depth_scale_sigma: float = Field(0.005, ge=0.0)
     min_known_depth: float = Field(0.3, gt=0.0, le=1.0)
-    min_on_plane: float = Field(0.7, gt=0.0, le=1.0)
+    min_on_plane: float = Field(0.5, gt=0.0, le=1.0)
     max_relative_sigma: float = Field(0.15, gt=0.0)  # of width and height
     min_probability: float = Field(0.25, ge=0.0, le=1.0)  # of being one, after verification
     max_overlap: float = Field(0.8, gt=0.0, le=1.0)  # of two rectangles, intersection over union

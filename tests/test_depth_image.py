@@ -11,7 +11,11 @@ from stereo_scenes import CAMERA, Board, facing, render
 
 from rgslam.config import RectangleConfig
 from rgslam.errors import CalibrationError
-from rgslam.rectangles.depth_image import corner_depths_of_planes, detect_with_depth
+from rgslam.rectangles.depth_image import (
+    corner_depths_of_planes,
+    detect_with_depth,
+    plane_ends,
+)
 from rgslam.rectangles.rejection import Rejection
 
 BOARD = Board(facing(30.0, -15.0), np.array([0.1, 0.0, 1.6]), (0.8, 0.5))
@@ -72,3 +76,16 @@ def test_plane_depths_outlive_holes_and_things_in_front() -> None:
 def test_sizes_must_agree() -> None:
     with pytest.raises(CalibrationError, match="differ in size"):
         detect_with_depth(render([BOARD])[0], np.zeros((10, 10)), CAMERA)
+
+
+def test_plane_ends_at_the_board_and_not_within_it() -> None:
+    """The board's border ends its plane; that of a quadrangle drawn on it does not."""
+    depth, corners = depth_image(BOARD), CAMERA.project(BOARD.corners)
+    within = corners.mean(axis=0) + 0.5 * (corners - corners.mean(axis=0))
+    quads = np.array([corners, within])
+    depths, *_ = corner_depths_of_planes(quads, depth, RectangleConfig())
+    ended = plane_ends(quads, depths, depth, RectangleConfig().inverse_depth_sigma)
+    assert (ended[0] > 0.9).all()
+    assert (ended[1] < 0.1).all()
+    nowhere = plane_ends(quads, depths, np.zeros_like(depth), 0.0015)
+    assert np.isnan(nowhere).all()

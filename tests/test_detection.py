@@ -12,6 +12,7 @@ from rgslam.config import Config, RectangleConfig
 from rgslam.errors import CalibrationError
 from rgslam.rectangles.detection import Detection, detect_rectangles
 from rgslam.rectangles.rejection import Rejection
+from rgslam.rectangles.verification import rectangle_probability
 
 SHEET = Board(facing(25.0, 10.0, 5.0), np.array([0.1, 0.05, 1.6]), (0.9, 0.6))
 
@@ -144,3 +145,27 @@ def test_wrong_image_size_is_said() -> None:
 def test_config_reaches_the_stage() -> None:
     strict = Config(rectangles=RectangleConfig(min_side=0.6))
     assert detect_rectangles(*render([SHEET]), CAMERA, strict).rectangles == ()
+
+
+def test_probability_falls_with_every_piece_of_evidence() -> None:
+    whole, half = np.ones((1, 4)), np.full((1, 4), 0.5)
+    fits, none = np.array([4.0]), np.array([0])
+    best = rectangle_probability(whole, whole, fits, none)
+    assert best > 0.95
+    assert rectangle_probability(half, whole, fits, none) < best
+    assert rectangle_probability(whole, half, fits, none) < best
+    assert rectangle_probability(whole, whole, np.array([400.0]), none) < 1e-4
+    assert rectangle_probability(whole, whole, np.array([np.inf]), none) < 1e-9
+    loose = [rectangle_probability(whole, whole, fits, np.array([n]))[0] for n in range(9)]
+    assert (np.diff(loose) < 0).all()
+
+
+def test_sides_of_a_piece_of_wall_do_not_end_at_its_corners() -> None:
+    """Two doors, floor and ceiling bound a piece of wall: a rectangle in space and no thing."""
+    stripes = [Board(facing(), np.array([x, 0.0, 2.0]), (0.4, 1.2), 60.0) for x in (-0.6, 0.6)] + [
+        Board(facing(), np.array([0.0, y, 2.0]), (2.6, 0.3), 200.0) for y in (-0.6, 0.6)
+    ]
+    found = detect_rectangles(*render(stripes), CAMERA).rectangles
+    wall = CAMERA.project(Board(facing(), np.array([0.0, 0.0, 2.0]), (0.8, 0.9)).corners)
+    near = [r for r in found if np.abs(r.left_px - wall).max() < 5.0]
+    assert all(r.probability < 0.5 for r in near)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -33,6 +34,10 @@ from rgslam.types import FloatArray
 
 _GRID = 12  # samples each way inside a quadrangle
 _MARGIN = 0.06  # of the side that is left out: depth images are wrong next to an edge
+_OUTSIDE = 1.12  # of the way from the middle to the border: just beyond it
+# Half of the things stand out of a wall or end a box, the others hang flat; of the edges that
+# chance puts together, a third are edges of depth. Share that ends the plane, and its opposite.
+_ENDS, _ENDS_BY_CHANCE = (0.5, 0.5), (0.3, 0.7)
 _CORRELATED = 9.0  # neighbouring depths come from one matching window: so many count as one
 
 
@@ -80,6 +85,7 @@ def _measured(
     rejected: Counter[Rejection],
 ) -> tuple[DetectedRectangle, ...]:
     corner_depths, sigmas, known, flat = corner_depths_of_planes(quads.corners, depth, section)
+    ended = plane_ends(quads.corners, corner_depths, depth, section.inverse_depth_sigma)
     measurements = CornerMeasurements.of(
         quads.corners,
         quads.covariances,
@@ -88,7 +94,7 @@ def _measured(
     )
     estimates = fit_rectangles(measurements, camera)
     probability = rectangle_probability(
-        quads.support, quads.support, estimates.costs, quads.loose_ends
+        quads.support, quads.support, estimates.costs, quads.loose_ends, _end_log_odds(ended)
     )
     spread = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):
@@ -149,6 +155,49 @@ def corner_depths_of_planes(
         # Four depths of one plane say three things only.
         sigmas[k] = np.sqrt(4.0 / 3.0 * variance + (section.depth_scale_sigma / q) ** 2)
     return depths, sigmas, known, flat
+
+
+def plane_ends(
+    corners: FloatArray, corner_depths: FloatArray, depth: FloatArray, sigma: float
+) -> FloatArray:
+    """Share (k, 4) of known depths just outside each side that are off the rectangle's plane.
+
+    NaN where none is known.
+
+    Args:
+        corners: (k, 4, 2), px.
+        corner_depths: (k, 4), m, of the plane at the corners.
+        depth: Image (height, width), m.
+        sigma: Noise of the inverse depth, 1/m.
+    """
+    share = (np.arange(_GRID) + 0.5)[:, None] / _GRID
+    side = np.roll(corners, -1, axis=1) - corners
+    border = corners[:, :, None] + share * side[:, :, None]
+    middle = corners.mean(axis=1)[:, None, None]
+    places = middle + _OUTSIDE * (border - middle)
+    inverse = 1.0 / corner_depths
+    # 1 / z is linear in the image, also beyond the border.
+    on_border = (
+        inverse[:, :, None] + share[:, 0] * (np.roll(inverse, -1, axis=1) - inverse)[..., None]
+    )
+    at_middle = inverse.mean(axis=1)[:, None, None]
+    expected = at_middle + _OUTSIDE * (on_border - at_middle)
+    cells = np.rint(places).astype(np.int64)
+    inside = ((cells >= 0) & (cells < np.array(depth.shape[::-1]))).all(axis=-1)
+    cells = np.where(inside[..., None], cells, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seen = 1.0 / depth[cells[..., 1], cells[..., 0]]
+        known = inside & np.isfinite(seen) & (seen > 0) & np.isfinite(expected)
+        off = known & (np.abs(seen - expected) > 4.0 * sigma)
+        return off.sum(axis=2) / known.sum(axis=2)
+
+
+def _end_log_odds(ended: FloatArray) -> FloatArray:
+    """What it says (k,) for a rectangle that its plane ends, or goes on, at its sides (k, 4)."""
+    ends, goes_on = (
+        math.log(own / other) for own, other in zip(_ENDS, _ENDS_BY_CHANCE, strict=True)
+    )
+    return np.where(ended > 0.5, ends, np.where(ended <= 0.5, goes_on, 0.0)).sum(axis=1)
 
 
 def _robust_plane(

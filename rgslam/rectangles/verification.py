@@ -65,7 +65,11 @@ def measure_in_right(
 
 
 def rectangle_probability(
-    left_support: FloatArray, right_support: FloatArray, costs: FloatArray, loose_ends: IntArray
+    left_support: FloatArray,
+    right_support: FloatArray,
+    costs: FloatArray,
+    loose_ends: IntArray,
+    other_log_odds: FloatArray | float = 0.0,
 ) -> FloatArray:
     """Probability (k,) that quadrangles are the borders of rectangular things, and matched rightly.
 
@@ -74,6 +78,7 @@ def rectangle_probability(
         right_support: (k, 4), the same in the right one; the left one again where there is none.
         costs: (k,), chi-square of the maximum-likelihood rectangle.
         loose_ends: (k,), of the eight ends of sides, those that do not end at the corner.
+        other_log_odds: (k,), of evidence that is independent of these.
     """
     costs = np.nan_to_num(costs, nan=np.inf)
     log_odds = (
@@ -83,5 +88,6 @@ def rectangle_probability(
         + _COST * np.log1p(costs)
         + _MISFIT * np.maximum(costs - _LARGEST_COST, 0.0)
         + _LOOSE[loose_ends]
+        + other_log_odds
     )
     return 1.0 / (1.0 + np.exp(-np.clip(log_odds, -50.0, 50.0)))
