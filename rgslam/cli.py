@@ -598,6 +598,45 @@ def regions_experiment(
     _print_json(result.to_dict()) if as_json else print_regions(result)
 
 
+@experiment_app.command("slam")
+@_stoppable
+def slam_experiment(
+    folder: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FOLDER]", help="CARMEN logs, NAME.relations beside them."),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option("--seeds", min=0, help="Simulated runs per built-in world.")
+    ] = 0,
+    ablations: Annotated[
+        bool, typer.Option("--ablations", help="Map every log made worse in six ways too.")
+    ] = False,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Folder for pictures of the error over time.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Map logs and simulated runs; print errors beside other mappers'.
+
+    \b
+    Example:
+      rgslam experiment slam datasets/laser --seeds 3 --plot out/slam
+    """
+    from rgslam.cli_output import StageProgress
+    from rgslam.experiments.ablations import ABLATIONS
+    from rgslam.experiments.slam import run_slam
+    from rgslam.experiments.tables import print_slam
+
+    if folder is None and not seeds:
+        raise typer.BadParameter("name a FOLDER of logs, or ask for --seeds of simulated runs")
+    with StageProgress() as progress:
+        result = run_slam(
+            folder, seeds, ablations=tuple(ABLATIONS) if ablations else (), plot=plot,
+            progress=progress.update,
+        )  # fmt: skip
+    _print_json(result.to_dict()) if as_json else print_slam(result)
+
+
 def _step(degrees: float) -> float:
     if abs(360.0 / degrees - round(360.0 / degrees)) > 1e-9:
         raise typer.BadParameter(f"{degrees:g} does not divide 360", param_hint="--step")

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
+from rgslam.compile_notice import announced_compiling
 from rgslam.config import Config
 from rgslam.mapper import Mapper
 from rgslam.observation_pool import observe_messages
@@ -69,10 +70,11 @@ def build_map(
     clock = StageClock()
     mapper = Mapper(config, clock)
     started = time.perf_counter()
-    partial = _read(recording, mapper, progress, stop, workers)
-    staged = sum(clock.seconds().values())
-    clock.add("reading", time.perf_counter() - started - staged)
-    return mapper.map(recording.path.name, tuple(recording.warnings), partial, progress)
+    with announced_compiling():
+        partial = _read(recording, mapper, progress, stop, workers)
+        staged = sum(clock.seconds().values())
+        clock.add("reading", time.perf_counter() - started - staged)
+        return mapper.map(recording.path.name, tuple(recording.warnings), partial, progress)
 
 
 def _read(

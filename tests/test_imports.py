@@ -16,7 +16,7 @@ import rgslam
 PACKAGE = Path(rgslam.__file__).parent
 FOUNDATION = {"types", "geometry", "errors", "config", "camera"}
 # Above the stages, the lower first; what is not named in this file is a stage.
-ABOVE = ["loaders", "simulation", "mapper", "pipeline", "demo", "cli"]
+ABOVE = ["loaders", "simulation", "mapper", "pipeline", "experiments", "demo", "cli"]
 # They read or write results and recordings; `rg_map` is the result itself.
 READERS = {
     "viewer",
@@ -29,7 +29,7 @@ READERS = {
     "metrics",
     "drawing",
 }
-READERS |= {"recording_check", "datasets", "cli_output", "interrupt", "rg_map", "experiments"}
+READERS |= {"recording_check", "datasets", "cli_output", "interrupt", "rg_map"}
 
 
 def imported(path: Path) -> set[str]:

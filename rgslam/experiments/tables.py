@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -21,9 +22,13 @@ from rgslam.experiments.rules import (
     RulesResult,
 )
 
+if TYPE_CHECKING:
+    from rgslam.experiments.slam import LogRow, SlamResult
+
 _FILE_WIDTH = 132  # columns: the widest table
 #: Columns of words; numbers stand to the right.
 _WORDS = {"size cm", "corners", "method", "question", "object", "rule", "answer"}
+_WORDS |= {"log", "run", "mapper", "world"}
 _WORDS |= {"figure", "plan", "peers, empty", "peers, furnished"}
 
 
@@ -200,6 +205,58 @@ def _region_figures(score: VariantScore) -> dict[str, str]:
         "seconds, mean": f"{score.mean_seconds:.2f}",
         "seconds, worst": f"{score.worst_seconds:.2f}",
     }
+
+
+def print_slam(result: SlamResult, console: Console | None = None) -> None:
+    """Print logs beside their peers, then simulated runs."""
+    if result.logs:
+        _print(
+            console,
+            "Recorded runs: relations (Kuemmerle et al. 2009), one configuration",
+            ["log", "run", "m, mean ± std", "max", "deg, mean ± std", "max", "relations",
+             "scans", "loops", "s", "CPU s"],
+            [_log_cells(row) for row in result.logs],
+        )  # fmt: skip
+        logs = {row.log for row in result.logs}
+        _print(
+            console,
+            "Other mappers on the same logs (m / degrees, seconds without reading)",
+            ["log", "mapper", "figures"],
+            [[peer.log, peer.name, peer.figures] for peer in result.peers if peer.log in logs],
+        )
+    if result.simulated:
+        _print(
+            console,
+            "Simulated runs",
+            ["world", "seed", "ATE cm", "NEES", "in 95 % %", "loops", "wrong loops"],
+            [
+                [
+                    row.world,
+                    str(row.seed),
+                    f"{100 * row.ate:.1f}",
+                    f"{row.nees:.2f}",
+                    f"{100 * row.inside:.0f}",
+                    str(row.loops),
+                    str(row.wrong_loops),
+                ]
+                for row in result.simulated
+            ],
+            "NEES of keyframes: 3 is right, less is cautious.",
+        )
+
+
+def _log_cells(row: LogRow) -> list[str]:
+    errors = ["", "", "", "", ""]
+    if row.translation is not None and row.rotation_deg is not None:
+        errors = [
+            "{:.4f} ± {:.4f}".format(*row.translation),
+            f"{row.translation[2]:.3f}",
+            "{:.3f} ± {:.3f}".format(*row.rotation_deg),
+            f"{row.rotation_deg[2]:.1f}",
+            str(row.relations),
+        ]
+    times = [f"{row.seconds:.1f}", f"{row.cpu_seconds:.1f}"]
+    return [row.log, row.variant or "as recorded", *errors, str(row.scans), str(row.loops), *times]
 
 
 def _shares(result: RulesResult) -> list[dict[str, float]]:

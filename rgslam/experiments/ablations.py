@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recordings made worse on purpose: what does the mapper still make of them?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rgslam.geometry import between, compose
+from rgslam.pipeline import MessageSource
+from rgslam.types import FloatArray, LaserScan, Message, Odometry
+
+Change = Callable[[Iterator[Message]], Iterator[Message]]
+
+#: Of the wheels' diameter, as after a change of tyres.
+_SCALE = 1.1
+#: rad of a slip, and m of way between two of them on average.
+_SLIP, _WAY_BETWEEN_SLIPS = np.radians(5.0), 10.0
+#: Share of the beams that return anything at all.
+_RANDOM_BEAMS = 0.2
+#: rad, what is left of the field of view.
+_FIELD_OF_VIEW = np.radians(90.0)
+
+
+@dataclass(frozen=True, eq=False)
+class AlteredRecording:
+    """A recording whose messages are changed on their way to the mapper."""
+
+    source: MessageSource
+    change: Change
+
+    @property
+    def path(self) -> Path:
+        """Where the unchanged recording comes from."""
+        return self.source.path
+
+    @property
+    def scan_count(self) -> None:
+        """Not known: a change may drop scans."""
+        return None
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was wrong with the unchanged recording."""
+        return self.source.warnings
+
+    def messages(self) -> Iterator[Message]:
+        """The changed messages."""
+        return self.change(iter(self.source.messages()))
+
+
+def scaled_odometry(messages: Iterator[Message]) -> Iterator[Message]:
+    """Ways and turns of the wheels 10 % too long."""
+    return _driven(messages, lambda step: _SCALE * step)
+
+
+def slipping_odometry(messages: Iterator[Message]) -> Iterator[Message]:
+    """Turns of 5 degrees that only the wheels report, to either side, one in 10 m of way."""
+    rng = np.random.default_rng(0)
+
+    def slip(step: FloatArray) -> FloatArray:
+        happens = rng.random() < np.hypot(step[0], step[1]) / _WAY_BETWEEN_SLIPS
+        turn = rng.choice((-_SLIP, _SLIP)) if happens else 0.0
+        return step + np.array([0.0, 0.0, turn])
+
+    return _driven(messages, slip)
+
+
+def every_second_scan(messages: Iterator[Message]) -> Iterator[Message]:
+    """Half of the scans are lost."""
+    scans = 0
+    for message in messages:
+        if isinstance(message, LaserScan):
+            scans += 1
+            if scans % 2 == 0:
+                continue
+        yield message
+
+
+def random_beams(messages: Iterator[Message]) -> Iterator[Message]:
+    """A fifth of the beams return any range up to the scanner's largest."""
+    rng = np.random.default_rng(0)
+    for message in messages:
+        if isinstance(message, LaserScan):
+            ranges = message.ranges.copy()
+            wrong = rng.random(len(ranges)) < _RANDOM_BEAMS
+            ranges[wrong] = rng.uniform(0.0, message.max_range, int(np.count_nonzero(wrong)))
+            yield replace(message, ranges=ranges)
+        else:
+            yield message
+
+
+def narrow_view(messages: Iterator[Message]) -> Iterator[Message]:
+    """Only the 90 degrees ahead are seen."""
+    for message in messages:
+        if isinstance(message, LaserScan):
+            ahead = np.abs(message.angles) <= 0.5 * _FIELD_OF_VIEW + 1e-9
+            offsets = message.time_offsets
+            yield replace(
+                message,
+                ranges=message.ranges[ahead],
+                angles=message.angles[ahead],
+                time_offsets=None if offsets is None else offsets[ahead],
+            )
+        else:
+            yield message
+
+
+def no_odometry(messages: Iterator[Message]) -> Iterator[Message]:
+    """The laser alone."""
+    for message in messages:
+        if isinstance(message, LaserScan):
+            yield replace(message, odometry=None)
+        elif not isinstance(message, Odometry):
+            yield message
+
+
+#: What is done to a recording, by name.
+ABLATIONS: dict[str, Change] = {
+    "odometry x 1.1": scaled_odometry,
+    "odometry slips 5 deg": slipping_odometry,
+    "every second scan": every_second_scan,
+    "20 % random beams": random_beams,
+    "90 deg field of view": narrow_view,
+    "no odometry": no_odometry,
+}
+
+
+def _driven(
+    messages: Iterator[Message], alter: Callable[[FloatArray], FloatArray]
+) -> Iterator[Message]:
+    """The same messages with every step of the odometry altered; scans and wheels share a frame."""
+    last: FloatArray | None = None
+    altered = np.zeros(3)
+    for message in messages:
+        oTb = message.oTb if isinstance(message, Odometry) else None
+        if isinstance(message, LaserScan):
+            oTb = message.odometry
+        if oTb is None:
+            yield message
+            continue
+        altered = np.array(oTb) if last is None else compose(altered, alter(between(last, oTb)))
+        last = np.asarray(oTb, float)
+        if isinstance(message, LaserScan):
+            yield replace(message, odometry=altered)
+        elif isinstance(message, Odometry):
+            yield replace(message, oTb=altered)
