@@ -48,7 +48,7 @@ class RegionView:
 _INNER = 0.9
 
 
-def _rectangle_width(area: float, inner_clearance: float) -> float:
+def rectangle_width(area: float, inner_clearance: float) -> float:
     """Shorter side w of the rectangle of that area A with that clearance in its inner part, m.
 
     The points farther than d from all sides make (w - 2 d) (A / w - 2 d) = (1 - share) A.
@@ -77,7 +77,7 @@ def region_class(
         gateways: the region's gateways.
         config: the limits.
     """
-    width = _rectangle_width(area, inner_clearance)
+    width = rectangle_width(area, inner_clearance)
     elongation = area / width**2
     if (
         elongation >= config.hallway_elongation

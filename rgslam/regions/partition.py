@@ -17,7 +17,7 @@ from rgslam.gateways.posts import refine_posts
 from rgslam.gateways.virtual_lines import find_virtual_lines
 from rgslam.outlines import trace_outlines
 from rgslam.regions.free_space import drop_slits, fill_islands
-from rgslam.types import FloatArray, IntArray
+from rgslam.types import FloatArray, GatewayClass, IntArray
 
 BoolArray = npt.NDArray[np.bool_]
 LabelArray = npt.NDArray[np.int32]
@@ -38,10 +38,11 @@ class Partition:
     scatter: FloatArray  # (m, 2, 2), per post: along, across the line, cells
     is_neck: BoolArray  # (m,)
     sides: IntArray  # (m, 2), labels left and right of the direction from post 0 to post 1
+    junctions: tuple[GatewayClass | None, ...]  # (m,), class of a junction of hallways
 
 
 @nb.njit(cache=True)
-def _flood(labels: LabelArray, free: BoolArray, rings: int) -> None:
+def flood(labels: LabelArray, free: BoolArray, rings: int) -> None:
     """Spread labels over free cells without one, in place; eight-connected, so many rings."""
     height, width = labels.shape
     rows = np.empty(labels.size, np.int32)
@@ -99,7 +100,7 @@ def _measure(
     return table
 
 
-def _side_labels(labels: LabelArray, posts: FloatArray) -> IntArray:
+def side_labels(labels: LabelArray, posts: FloatArray) -> IntArray:
     """Labels (m, 2) left and right of the lines; 0 where a line has none beside its midpoint."""
     sides = np.zeros((len(posts), 2), np.int64)
     for i, (a, b) in enumerate(posts):
@@ -199,20 +200,21 @@ def partition_free_space(
     for a, b in (r.cut for r in refined):
         draw_wall(walls, a[0], a[1], b[0], b[1])
     count, labels = cv2.connectedComponents(walls.astype(np.uint8), connectivity=4)
-    sides = _side_labels(labels, posts)
+    sides = side_labels(labels, posts)
     table = _measure(labels, clearance_of(walls), space, wall_near, count)
     pieces = Pieces(table[0] * resolution**2, table[1] * resolution, table[2], table[3])
     widths = np.linalg.norm(posts[:, 1] - posts[:, 0], axis=1)
     merged = _join_pieces(sides, widths, pieces, config.regions)
 
     labels = np.ascontiguousarray(merged[labels].astype(np.int32))
-    _flood(labels, np.ascontiguousarray(filled), int(np.ceil(_CREVICE / resolution)))
+    flood(labels, np.ascontiguousarray(filled), int(np.ceil(_CREVICE / resolution)))
     sides = merged[sides]
     real = (sides[:, 0] != sides[:, 1]) & (sides > 0).all(axis=1)
-    labels, renamed, count = _renumber(labels)
+    labels, renamed, count = renumber(labels)
     return Partition(
-        labels, count, posts[real], scatter[real], passages.is_neck[real], renamed[sides[real]]
-    )
+        labels, count, posts[real], scatter[real], passages.is_neck[real], renamed[sides[real]],
+        (None,) * int(real.sum()),
+    )  # fmt: skip
 
 
 def near_wall(is_wall: BoolArray, resolution: float) -> BoolArray:
@@ -222,7 +224,7 @@ def near_wall(is_wall: BoolArray, resolution: float) -> BoolArray:
     return np.asarray(cv2.dilate(is_wall.astype(np.uint8), kernel), bool)
 
 
-def _renumber(labels: LabelArray) -> tuple[LabelArray, IntArray, int]:
+def renumber(labels: LabelArray) -> tuple[LabelArray, IntArray, int]:
     """Labels 1..n by falling area (ties: by first cell), the new label of each old one, and n."""
     present, first, counts = np.unique(labels, return_index=True, return_counts=True)
     keep = present > 0

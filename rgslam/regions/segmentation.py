@@ -16,6 +16,7 @@ from rgslam.gateways.passages import draw_wall
 from rgslam.gateways.posts import post_covariance
 from rgslam.occupancy_grid import grid_from_image
 from rgslam.regions.description import RegionView, describe_region, inner_clearances, region_boxes
+from rgslam.regions.hallways import split_hallways
 from rgslam.regions.partition import Partition, partition_free_space
 from rgslam.types import (
     FloatArray,
@@ -39,6 +40,7 @@ def segment_grid(
     grid: OccupancyGrid | npt.NDArray[np.uint8],
     resolution: float | None = None,
     config: Config | None = None,
+    junctions: bool = False,
 ) -> Segmentation:
     """Regions and gateways of an occupancy grid or of a map image.
 
@@ -51,6 +53,8 @@ def segment_grid(
             205 = unknown. The lower left corner of an image is the origin of the world.
         resolution: m per pixel of an image; a grid knows its own.
         config: the sections `gateways` and `regions` are used; None for the defaults.
+        junctions: divide hallways where they meet and bend, as in the map of a run. Floor plans are
+            drawn without that.
 
     Returns:
         Labels in the rows of `OccupancyGrid` (row 0 = lowest y, an image turned upside down),
@@ -73,6 +77,8 @@ def segment_grid(
     free = np.asarray(grid.occupancy < _FREE_BELOW, bool)
     is_wall = np.asarray(grid.occupancy >= _FREE_BELOW, bool)
     partition = partition_free_space(free, is_wall, grid.resolution, config)
+    if junctions:
+        partition = split_hallways(partition, free, grid.resolution, config)
     if partition.count > np.iinfo(np.uint16).max:
         raise MapError(f"{partition.count} regions are more than the label image can hold")
     gateways = _gateways(partition, grid)
@@ -167,6 +173,7 @@ def _classified(
 ) -> tuple[Gateway, ...]:
     """The gateways with their class."""
     necks = [bool(partition.is_neck[k]) for k in _order(partition)]
+    known = [partition.junctions[k] for k in _order(partition)]
     junctions = [
         g.id
         for g in gateways
@@ -178,7 +185,10 @@ def _classified(
             a, b = _cells(g.points, grid)
             draw_wall(closed, a[0], a[1], b[0], b[1])
     found = []
-    for g, is_neck in zip(gateways, necks, strict=True):
+    for g, is_neck, junction in zip(gateways, necks, known, strict=True):
+        if junction is not None:
+            found.append(replace(g, label=junction))
+            continue
         arms, straight = 0, False
         if g.id in junctions:
             arms, straight = count_arms(closed, _cells(g.points, grid))
