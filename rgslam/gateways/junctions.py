@@ -28,6 +28,8 @@ BoolArray = npt.NDArray[np.bool_]
 _LEAST_TURN = np.radians(40.0)
 # Length of a hallway over its width: what is shorter is a niche.
 _ARM = 1.5
+# A main hallway goes on at least so many widths past the last side hallway, or it is a bend.
+_STUB = 0.5
 # How much wider or narrower than the hallways in question a mouth may be.
 _WIDTHS = (0.6, 1.5)
 # How much the width of an arm may differ from that of its mouth: niches, door recesses, furniture.
@@ -152,12 +154,12 @@ def _is_arm(
 def _opens(
     hallways: BoolArray, ends: FloatArray, along: FloatArray, normal: FloatArray, length: float
 ) -> bool:
-    """Whether before the line a hallway runs past it, to both sides."""
+    """Whether before the line a hallway runs past it: for long to one side, a bit to the other."""
     x, y = ends.mean(axis=0) + 0.4 * length * normal
-    reach = 0.5 * length + _ARM * length
-    return all(
-        ray_length(hallways, x, y, *(sign * along), reach) >= reach for sign in (1.0, -1.0)
-    )
+    beyond = [
+        ray_length(hallways, x, y, *(sign * along), _FAR) - 0.5 * length for sign in (1.0, -1.0)
+    ]
+    return min(beyond) >= _STUB * length and max(beyond) >= _ARM * length
 
 
 # --- L --------------------------------------------------------------------------------------------

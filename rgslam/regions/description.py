@@ -16,11 +16,12 @@ from rgslam.config import RegionConfig
 from rgslam.geometry import inverse, transform_points
 from rgslam.line_segments import extract_line_segments, main_axes
 from rgslam.outlines import signed_area, trace_outlines
-from rgslam.types import FloatArray, Gateway, IntArray, Region, RegionClass
+from rgslam.types import FloatArray, Gateway, GatewayClass, IntArray, Region, RegionClass
 
 BoolArray = npt.NDArray[np.bool_]
 LabelArray = npt.NDArray[np.int32]
 
+_JUNCTIONS = (GatewayClass.L_JUNCTION, GatewayClass.T_JUNCTION, GatewayClass.X_JUNCTION)
 # Lines shorter than this carry no direction: about the depth of a door frame, m.
 _SHORTEST_LINE = 0.3
 # Footprint below which a speck is noise, m^2: the leg of a chair, or one cell of a coarse grid.
@@ -68,8 +69,8 @@ def region_class(
 
     Width and length are those of the rectangle with the same area and the same clearance in its
     inner part: corners, bends, rings, niches and furniture change them little. A hallway is long
-    for its width, not wider than hallways are, and leads somewhere; an open space is wide both
-    ways.
+    for its width, not wider than hallways are, and leads somewhere or is the blind end of other
+    hallways; an open space is wide both ways.
 
     Args:
         area: m^2.
@@ -82,7 +83,7 @@ def region_class(
     if (
         elongation >= config.hallway_elongation
         and width <= config.hallway_width
-        and len(gateways) >= 2
+        and (len(gateways) >= 2 or any(g.label in _JUNCTIONS for g in gateways))
     ):
         return RegionClass.HALLWAY
     return RegionClass.OPEN_SPACE if width >= config.open_space_width else RegionClass.ROOM

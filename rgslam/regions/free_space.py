@@ -10,13 +10,21 @@ import numpy.typing as npt
 
 BoolArray = npt.NDArray[np.bool_]
 
+# Share of its smallest rectangle that furniture covers; angled pieces of wall cover less.
+_COMPACT = 0.6
 
-def fill_islands(free: BoolArray, largest: float) -> BoolArray:
-    """Free space with its small free-standing obstacles (legs, bins, people, noise) filled in.
+
+def fill_islands(free: BoolArray, largest: float, furniture: float, thickest: float) -> BoolArray:
+    """Free space with its free-standing obstacles filled in: legs, bins, people, noise, tables.
+
+    What is small divides nothing, whatever it is. What is larger may be a piece of wall between
+    two doors: it is furniture when it is thicker than walls are and compact.
 
     Args:
         free: (H, W).
-        largest: longest side of the bounding box of an obstacle that is filled, cells.
+        largest: longest side of the bounding box of a small obstacle, cells.
+        furniture: the same of a piece of furniture, cells.
+        thickest: thickest wall, cells.
     """
     _, labels, stats, _ = cv2.connectedComponentsWithStats(
         (~free).astype(np.uint8), connectivity=8, ltype=cv2.CV_32S
@@ -24,9 +32,21 @@ def fill_islands(free: BoolArray, largest: float) -> BoolArray:
     height, width = free.shape
     x, y, w, h = stats[:, :4].T
     inside = (x > 0) & (y > 0) & (x + w < width) & (y + h < height)
-    small = inside & (np.maximum(w, h) <= largest)
-    small[0] = False  # label 0 is the free space itself
-    return np.asarray(free | small[labels], bool)
+    inside[0] = False  # label 0 is the free space itself
+    longest = np.maximum(w, h)
+    filled = inside & (longest <= largest)
+    for i in np.flatnonzero(inside & ~filled & (longest <= furniture)).tolist():
+        cells = labels[y[i] : y[i] + h[i], x[i] : x[i] + w[i]] == i
+        filled[i] = _is_furniture(cells, thickest)
+    return np.asarray(free | filled[labels], bool)
+
+
+def _is_furniture(cells: BoolArray, thickest: float) -> bool:
+    """Whether an obstacle is thicker than a wall, and compact."""
+    points = np.argwhere(cells).astype(np.float32)
+    _, (a, b), _ = cv2.minAreaRect(points)
+    # Of the cells' centres: a cell more for their own size, another for the raster
+    return min(a, b) > thickest and len(points) >= _COMPACT * (a + 1.0) * (b + 1.0)
 
 
 def drop_slits(free: BoolArray, narrowest: float) -> BoolArray:

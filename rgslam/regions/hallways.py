@@ -47,14 +47,16 @@ def split_hallways(
         sight = np.pad(free[r0:r1, c0:c1], 1)
         for found in find_junctions(inside, sight, width / resolution, _RECESS / resolution):
             junctions.append(replace(found, ends=found.ends + np.array([c0 - 1, r0 - 1])))
-    return _divided(partition, junctions, config) if junctions else partition
+    if not junctions:
+        return partition
+    return _divided(partition, junctions, config.regions.least_area / resolution**2)
 
 
 def _is_hallway(area: float, width: float, config: RegionConfig) -> bool:
     return area >= config.hallway_elongation * width**2 and width <= config.hallway_width
 
 
-def _divided(partition: Partition, junctions: list[Junction], config: Config) -> Partition:
+def _divided(partition: Partition, junctions: list[Junction], least_cells: float) -> Partition:
     """The partition cut at the junctions; a cut that divides nothing is dropped."""
     inside = np.array(partition.labels > 0, order="C")
     labels = partition.labels.copy()
@@ -62,7 +64,7 @@ def _divided(partition: Partition, junctions: list[Junction], config: Config) ->
         walls = inside.copy()
         draw_wall(walls, *junction.ends.ravel())
         labels[inside & ~walls] = 0
-    labels = _components(labels)
+    labels = _components(labels, least_cells)
     labels[~inside] = 0
     flood(labels, inside, labels.size)
     labels, _, count = renumber(labels)
@@ -83,8 +85,8 @@ def _divided(partition: Partition, junctions: list[Junction], config: Config) ->
     )
 
 
-def _components(labels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """A label of its own for each connected piece of each label."""
+def _components(labels: npt.NDArray[np.int32], least_cells: float) -> npt.NDArray[np.int32]:
+    """A label of its own for each connected piece of each label, 0 for what the cuts crumbled."""
     from scipy import ndimage
 
     pieces = np.zeros_like(labels)
@@ -93,7 +95,10 @@ def _components(labels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
         if part is None:
             continue
         own, n = ndimage.label(labels[part] == i + 1)
-        pieces[part] = np.where(own > 0, own + count, pieces[part])
+        large = np.bincount(own.ravel(), minlength=n + 1) >= least_cells
+        # A region that was as small before the cuts stays
+        large |= n == 1
+        pieces[part] = np.where((own > 0) & large[own], own + count, pieces[part])
         count += n
     return pieces
 

@@ -183,7 +183,10 @@ def partition_free_space(
         config: the sections `gateways` and `regions`.
     """
     gateways = config.gateways
-    filled = fill_islands(free, config.regions.largest_object / resolution)
+    filled = fill_islands(
+        free, config.regions.largest_object / resolution,
+        config.regions.largest_furniture / resolution, gateways.thickest_wall / resolution,
+    )  # fmt: skip
     space = drop_slits(filled, config.regions.narrowest / resolution)
     outlines = trace_outlines(space, max(1.0, _WALL_NOISE / resolution))
     wall_near = near_wall(is_wall, resolution)

@@ -16,7 +16,7 @@ import numpy as np
 from rgslam.config import Config
 from rgslam.gateways.scan_posts import refine_gateway
 from rgslam.scan_hits import Hits
-from rgslam.types import FloatArray, LineSegment, Mask, Region, Segmentation
+from rgslam.types import FloatArray, GatewayClass, LineSegment, Mask, Region, Segmentation
 
 # Beams of one scan on one wall share the error of its pose: a wall needs several scans.
 _LEAST_SCANS = 3
@@ -43,7 +43,11 @@ def fit_to_scans(
         segmentation,
         regions=tuple(refit_region(r, hits, resolution) for r in segmentation.regions),
         gateways=tuple(
-            refine_gateway(g, hits, resolution, thickest) for g in segmentation.gateways
+            # The posts of a bend are two corners, not the ends of walls on either side
+            g
+            if g.label is GatewayClass.L_JUNCTION
+            else refine_gateway(g, hits, resolution, thickest)
+            for g in segmentation.gateways
         ),
     )
 

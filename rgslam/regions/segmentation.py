@@ -114,7 +114,7 @@ def _order(partition: Partition) -> list[int]:
 
 
 def _gateways(partition: Partition, grid: OccupancyGrid) -> list[Gateway]:
-    """Gateways in w, numbered; their class is still open."""
+    """Gateways in w, numbered; only junctions have their class yet."""
     gateways = []
     for number, k in enumerate(_order(partition), start=1):
         points = grid.origin + partition.posts[k] * grid.resolution
@@ -128,7 +128,7 @@ def _gateways(partition: Partition, grid: OccupancyGrid) -> list[Gateway]:
         gateways.append(
             Gateway(
                 id=number,
-                label=GatewayClass.OPENING,
+                label=partition.junctions[k] or GatewayClass.OPENING,
                 regions=(right, left),
                 points=points,
                 crossing_point=points.mean(axis=0),
@@ -173,7 +173,6 @@ def _classified(
 ) -> tuple[Gateway, ...]:
     """The gateways with their class."""
     necks = [bool(partition.is_neck[k]) for k in _order(partition)]
-    known = [partition.junctions[k] for k in _order(partition)]
     junctions = [
         g.id
         for g in gateways
@@ -185,9 +184,9 @@ def _classified(
             a, b = _cells(g.points, grid)
             draw_wall(closed, a[0], a[1], b[0], b[1])
     found = []
-    for g, is_neck, junction in zip(gateways, necks, known, strict=True):
-        if junction is not None:
-            found.append(replace(g, label=junction))
+    for g, is_neck in zip(gateways, necks, strict=True):
+        if g.label is not GatewayClass.OPENING:
+            found.append(g)
             continue
         arms, straight = 0, False
         if g.id in junctions:
