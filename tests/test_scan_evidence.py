@@ -163,7 +163,7 @@ def test_a_beam_beside_an_edge_is_less_sure() -> None:
     room = shapely.box(0, 0, 8, 6) - shapely.box(4, 2, 5, 3)
     found = segment_grid(raster([room], 0.05))
     edge = np.arctan2(1.0, 3.0)  # of the pillar's near corner (4, 3), from (1, 2)
-    angles = edge + np.array([-0.008, 0.008, -0.15])
+    angles = edge + np.array([-0.004, 0.004, -0.15])
     beside = predict_scan(found, (1.0, 2.0, 0.0), LaserModel(angles))
     assert beside.sigmas[:2].min() > 0.5
     assert beside.sigmas[2] < 0.1
