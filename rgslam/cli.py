@@ -640,6 +640,44 @@ def slam_experiment(
     _print_json(result.to_dict()) if as_json else print_slam(result)
 
 
+@experiment_app.command("fusion")
+@_stoppable
+def fusion_experiment(
+    worlds: Annotated[
+        list[str] | None, typer.Argument(metavar="[WORLD]...", help="All built-in ones if none.")
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs per world.")] = 3,
+    stereo_rate: Annotated[
+        float | None, typer.Option("--stereo-rate", min=0.01, help="Pairs per second.")
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", min=1.0, help="End each run after seconds."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate runs with stereo, map them, score landmarks and poses against the truth.
+
+    \b
+    Example:
+      rgslam experiment fusion office --seeds 1 --stereo-rate 0.5
+    """
+    from rgslam.cli_output import StageProgress
+    from rgslam.experiments import run_fusion
+    from rgslam.experiments.tables import print_fusion
+    from rgslam.simulation import BUILT_IN_WORLDS
+
+    with StageProgress() as progress:
+        result = run_fusion(
+            worlds or BUILT_IN_WORLDS,
+            range(1, seeds + 1),
+            stereo_rate,
+            duration,
+            progress=progress.update,
+        )
+    _print_json(result.to_dict()) if as_json else print_fusion(result)
+
+
 def _step(degrees: float) -> float:
     if abs(360.0 / degrees - round(360.0 / degrees)) > 1e-9:
         raise typer.BadParameter(f"{degrees:g} does not divide 360", param_hint="--step")

@@ -68,6 +68,7 @@ class FactorGraphConfig(StageConfig):
 class DataAssociationConfig(StageConfig):
     """Which sight is which landmark (see `rgslam.data_association`)."""
 
+    enabled: bool = True  # False: no landmarks, the poses come from the laser alone
     gate_probability: float = Field(0.999, gt=0.0, lt=1.0)  # share of right pairs that pass
     # By so much another pair must fit worse (chi-square, 1 in 100 by chance) to be ruled out.
     ambiguity_margin: float = Field(9.2, ge=0.0)

@@ -384,7 +384,8 @@ class Mapper:
         frames = self._frames.frames()
         landmarks: tuple[Landmark, ...] = ()
         fusion_counts: Mapping[str, int] = {}
-        if any(frame.observations.rectangles for frame in frames):
+        seen = any(frame.observations.rectangles for frame in frames)
+        if seen and self.config.data_association.enabled:
             with self.clock.stage("fusion"):
                 tell("fusion", 0, 1)
                 fusion = fuse_landmarks(self._poses, self._graph.edges, frames, self.config)

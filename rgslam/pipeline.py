@@ -38,8 +38,8 @@ class MessageSource(Protocol):
     def warnings(self) -> list[str]:
         """What was wrong with it, as far as it was read."""
 
-    def messages(self) -> Iterator[Message]:
-        """All messages in the order of the recording."""
+    def messages(self) -> Iterator[Message | FrameObservations]:
+        """All messages in their order; `observe_frame` may have looked at the images already."""
 
 
 def build_map(

@@ -4,17 +4,20 @@
 
 from rgslam.experiments.depth_noise import DepthNoiseResult, run_depth_noise
 from rgslam.experiments.discretization import DiscretizationResult, run_discretization
+from rgslam.experiments.fusion import FusionResult, run_fusion
 from rgslam.experiments.regions import RegionsResult, run_regions
 from rgslam.experiments.rules import RulesResult, learn_prediction_tables, run_rules
 
 __all__ = [
     "DepthNoiseResult",
     "DiscretizationResult",
+    "FusionResult",
     "RegionsResult",
     "RulesResult",
     "learn_prediction_tables",
     "run_depth_noise",
     "run_discretization",
+    "run_fusion",
     "run_regions",
     "run_rules",
 ]
