@@ -42,6 +42,8 @@ from rgslam.factor_graph.stereo_corners import stereo_corners
 from rgslam.geometry import adjoint, adjoints, between, compose, inverse
 from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
+from rgslam.rectangles.cuboid_fusion import FittedCuboid
+from rgslam.rectangles.cuboid_landmarks import fit_cuboids
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
 #: Solve, take out what does not fit, solve again: so often at most.
@@ -69,6 +71,7 @@ class Fusion:
     keyframes: FloatArray  # (K, 3), wTb
     covariances: FloatArray  # (K, 3, 3), in each keyframe's own frame: x, y, theta
     landmarks: tuple[Landmark, ...]
+    cuboids: tuple[FittedCuboid, ...]  # their faces are numbers of landmarks
     counts: Mapping[str, int]  # decisions, by what was decided
 
 
@@ -116,8 +119,11 @@ def fuse_landmarks(
         _landmark(marginals.rectangle(number), track, frames, poses)
         for number, track in enumerate(tracks)
     )
-    counts.update(tracks=len(association.tracks), landmarks=len(landmarks))
-    return Fusion(start, covariances, landmarks, dict(counts))
+    # Rectangles that share edges at right angles
+    corners = np.array([landmark.state.corners for landmark in landmarks]).reshape(-1, 4, 3)
+    cuboids = fit_cuboids(corners, marginals.corner_covariance)
+    counts.update(tracks=len(association.tracks), landmarks=len(landmarks), cuboids=len(cuboids))
+    return Fusion(start, covariances, landmarks, cuboids, dict(counts))
 
 
 def _sight_count(tracks: Sequence[Track]) -> int:

@@ -9,26 +9,40 @@ from collections.abc import Sequence
 import numpy as np
 
 from rgslam.config import LandmarkConfig, RectangleClass
-from rgslam.fusion import Landmark
-from rgslam.types import FloatArray, Rectangle, Region
+from rgslam.fusion import Fusion, Landmark
+from rgslam.rectangles.cuboid_fusion import FittedCuboid
+from rgslam.types import Cuboid, FloatArray, Rectangle, Region
 
 UNKNOWN = "unknown"
+#: What boxes are called: of furniture, a cabinet is the one that is a plain box.
+CUBOID = "cabinet"
 
 
 def describe_landmarks(
-    landmarks: Sequence[Landmark], regions: Sequence[Region], config: LandmarkConfig
-) -> tuple[Rectangle, ...]:
-    """Rectangles of the map, in the order in which they were first seen.
+    fusion: Fusion, regions: Sequence[Region], config: LandmarkConfig
+) -> tuple[tuple[Rectangle, ...], tuple[Cuboid, ...]]:
+    """Rectangles of the map, in the order in which they were first seen, and cuboids of them.
 
     Args:
-        landmarks: of the joint graph.
+        fusion: what the joint graph says.
         regions: of the map; a rectangle belongs to the one it faces.
         config: the classes.
     """
-    ordered = sorted(landmarks, key=lambda landmark: landmark.sights[0])
-    return tuple(
-        _describe(number, landmark, regions, config) for number, landmark in enumerate(ordered)
+    landmarks = fusion.landmarks
+    order = sorted(range(len(landmarks)), key=lambda i: landmarks[i].sights[0])
+    rectangles = tuple(
+        _describe(number, landmarks[i], regions, config) for number, i in enumerate(order)
     )
+    ids = {i: number for number, i in enumerate(order)}
+    cuboids = tuple(_cuboid(n, cuboid, ids) for n, cuboid in enumerate(fusion.cuboids))
+    return rectangles, cuboids
+
+
+def _cuboid(number: int, cuboid: FittedCuboid, ids: dict[int, int]) -> Cuboid:
+    wTo = np.eye(4)
+    wTo[:3, :3], wTo[:3, 3] = cuboid.rotation, cuboid.centre
+    faces = tuple(sorted(ids[face.rectangle] for face in cuboid.faces))
+    return Cuboid(number, CUBOID, wTo, cuboid.size, cuboid.covariance, faces)
 
 
 def _describe(

@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 
@@ -20,7 +19,7 @@ from rgslam.data_association import RectangleState
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
 from rgslam.frame_placing import HORIZON, FramePlacer, ScanPlace
-from rgslam.fusion import Landmark, fuse_landmarks
+from rgslam.fusion import Fusion, fuse_landmarks
 from rgslam.gateways import detect_crossings
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.landmarks import describe_landmarks
@@ -382,15 +381,13 @@ class Mapper:
             covariances = self._graph.covariances(self._poses)
             tell("optimisation", 2, 2)
         frames = self._frames.frames()
-        landmarks: tuple[Landmark, ...] = ()
-        fusion_counts: Mapping[str, int] = {}
+        fusion: Fusion | None = None
         seen = any(frame.observations.rectangles for frame in frames)
         if seen and self.config.data_association.enabled:
             with self.clock.stage("fusion"):
                 tell("fusion", 0, 1)
                 fusion = fuse_landmarks(self._poses, self._graph.edges, frames, self.config)
                 self._poses, covariances = fusion.keyframes, fusion.covariances
-                landmarks, fusion_counts = fusion.landmarks, fusion.counts
                 tell("fusion", 1, 1)
         trajectory = self.trajectory()
         with self.clock.stage("occupancy grid"):
@@ -406,6 +403,11 @@ class Mapper:
             segmentation = fit_to_scans(segmentation, hits, grid.resolution, self.config)
             gateways = detect_crossings(segmentation.gateways, trajectory)
             tell("regions and gateways", 1, 1)
+        rectangles, cuboids = (
+            describe_landmarks(fusion, segmentation.regions, self.config.landmarks)
+            if fusion is not None
+            else ((), ())
+        )
         return RGMap(
             regions=segmentation.regions,
             gateways=gateways,
@@ -414,17 +416,21 @@ class Mapper:
             edges=tuple(self._graph.edges),
             grid=grid,
             config=self.config,
-            rectangles=describe_landmarks(landmarks, segmentation.regions, self.config.landmarks),
+            rectangles=rectangles,
+            cuboids=cuboids,
             frames=tuple(frames),
             run=RunInfo(
                 version=__version__,
                 recording=recording,
-                counts=self._counts(len(segmentation.regions), gateways, frames, len(landmarks)),
+                counts=self._counts(len(segmentation.regions), gateways, frames, len(rectangles)),
                 seconds=self.clock.seconds(),
                 peak_memory_mb=self.clock.peak_memory_mb(),
                 warnings=(*warnings, *self._warnings(), *segmentation.warnings),
                 partial=partial,
-                details={"loops": self._loop_details(), "fusion": dict(fusion_counts)},
+                details={
+                    "loops": self._loop_details(),
+                    "fusion": dict(fusion.counts) if fusion is not None else {},
+                },
             ),
         )
 

@@ -31,7 +31,7 @@ ObservedMessage = LaserScan | Odometry | FrameObservations
 
 
 def observe_messages(
-    messages: Iterable[Message],
+    messages: Iterable[Message | FrameObservations],
     config: Config,
     workers: int | None = None,
     clock: StageClock | None = None,
@@ -100,7 +100,7 @@ class _Job:
         return self._found or self._future.result()
 
 
-_Ahead = deque["_Job | LaserScan | Odometry"]
+_Ahead = deque["_Job | ObservedMessage"]
 
 
 def _is_ready(ahead: _Ahead, most: int) -> bool:

@@ -280,11 +280,15 @@ class JointMarginals:
 
     def rectangle(self, number: int) -> RectangleMarginal:
         """Corners of a rectangle with their joint covariance."""
-        keys = corner_keys(number)
+        corners = np.array([self._values.atPoint3(key) for key in corner_keys(number)])
+        return RectangleMarginal(corners, self.corner_covariance([number]))
+
+    def corner_covariance(self, numbers: Sequence[int]) -> FloatArray:
+        """Joint covariance (12 n, 12 n) of the corners of n rectangles, m^2, w."""
+        keys = [key for number in numbers for key in corner_keys(number)]
         joint = self._marginals.jointMarginalCovariance(keys)
         covariance = np.block([[joint.at(a, b) for b in keys] for a in keys])
-        corners = np.array([self._values.atPoint3(key) for key in keys])
-        return RectangleMarginal(corners, 0.5 * (covariance + covariance.T))
+        return 0.5 * (covariance + covariance.T)
 
 
 def spatial(wTb: Sequence[float] | FloatArray) -> gtsam.Pose3:
