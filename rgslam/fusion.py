@@ -42,8 +42,8 @@ from rgslam.factor_graph.stereo_corners import stereo_corners
 from rgslam.geometry import adjoint, adjoints, between, compose, inverse
 from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
-from rgslam.rectangles.cuboid_fusion import FittedCuboid
 from rgslam.rectangles.cuboid_landmarks import fit_cuboids
+from rgslam.rectangles.fitted_cuboid import FittedCuboid
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
 #: Solve, take out what does not fit, solve again: so often at most.

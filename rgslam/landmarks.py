@@ -10,7 +10,7 @@ import numpy as np
 
 from rgslam.config import LandmarkConfig, RectangleClass
 from rgslam.fusion import Fusion, Landmark
-from rgslam.rectangles.cuboid_fusion import FittedCuboid
+from rgslam.rectangles.fitted_cuboid import FittedCuboid
 from rgslam.types import Cuboid, FloatArray, Rectangle, Region
 
 UNKNOWN = "unknown"
