@@ -25,7 +25,7 @@ from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.landmarks import describe_landmarks
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
-from rgslam.observations import FrameObservations, PlacedFrame, observe_frame
+from rgslam.observations import FrameObservations, PlacedFrame, RunMessage, observe_frame
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
 from rgslam.online_fusion import OnlineFusion
@@ -40,7 +40,6 @@ from rgslam.types import (
     Gateway,
     Keyframes,
     LaserScan,
-    Message,
     Odometry,
     PoseEdge,
     ProgressCallback,
@@ -113,7 +112,7 @@ class Mapper:
 
     # --- One message ---------------------------------------------------------------------------
 
-    def add(self, message: Message | FrameObservations) -> list[StepResult]:
+    def add(self, message: RunMessage) -> list[StepResult]:
         """Take the next message of a recording.
 
         A scan that waits for odometry after its stamp is processed as soon as that comes. The

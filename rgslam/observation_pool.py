@@ -15,9 +15,9 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
 from rgslam.config import Config
-from rgslam.observations import FrameObservations, observe_frame
+from rgslam.observations import FrameObservations, RunMessage, observe_frame
 from rgslam.stage_clock import StageClock
-from rgslam.types import LaserScan, Message, Odometry, StereoPair
+from rgslam.types import LaserScan, Odometry, StereoPair
 
 if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
@@ -31,7 +31,7 @@ ObservedMessage = LaserScan | Odometry | FrameObservations
 
 
 def observe_messages(
-    messages: Iterable[Message | FrameObservations],
+    messages: Iterable[RunMessage],
     config: Config,
     workers: int | None = None,
     clock: StageClock | None = None,

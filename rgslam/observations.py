@@ -17,7 +17,7 @@ from rgslam.config import Config
 from rgslam.geometry import compose
 from rgslam.rectangles.detection import DetectedRectangle, detect_rectangles
 from rgslam.rectangles.rejection import Rejection
-from rgslam.types import FloatArray, StereoPair
+from rgslam.types import FloatArray, Message, StereoPair
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +30,10 @@ class FrameObservations:
     rectangles: tuple[DetectedRectangle, ...]  # the most credible first
     rejected: Mapping[Rejection, int]  # hypotheses refused, by reason
     record: int = 0  # message number in the recording, for messages to people
+
+
+#: What a mapper takes: a message of a recording, or what was seen in one already.
+RunMessage = Message | FrameObservations
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,10 @@ from rgslam.compile_notice import announced_compiling
 from rgslam.config import Config
 from rgslam.mapper import Mapper
 from rgslam.observation_pool import observe_messages
-from rgslam.observations import FrameObservations
+from rgslam.observations import FrameObservations, RunMessage
 from rgslam.rg_map import RGMap
 from rgslam.stage_clock import StageClock
-from rgslam.types import LaserScan, Message, ProgressCallback
+from rgslam.types import LaserScan, ProgressCallback
 
 #: Progress is told so often, in seconds: a person cannot read faster.
 _TELL_EVERY = 0.1
@@ -38,7 +38,7 @@ class MessageSource(Protocol):
     def warnings(self) -> list[str]:
         """What was wrong with it, as far as it was read."""
 
-    def messages(self) -> Iterator[Message | FrameObservations]:
+    def messages(self) -> Iterator[RunMessage]:
         """All messages in their order; `observe_frame` may have looked at the images already."""
 
 

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from rgslam.geometry import between, compose
+from rgslam.observations import RunMessage
 from rgslam.pipeline import MessageSource
-from rgslam.types import FloatArray, LaserScan, Message, Odometry
+from rgslam.types import FloatArray, LaserScan, Odometry
 
-Change = Callable[[Iterator[Message]], Iterator[Message]]
+Change = Callable[[Iterator[RunMessage]], Iterator[RunMessage]]
 
 #: Of the wheels' diameter, as after a change of tyres.
 _SCALE = 1.1
@@ -48,17 +49,17 @@ class AlteredRecording:
         """What was wrong with the unchanged recording."""
         return self.source.warnings
 
-    def messages(self) -> Iterator[Message]:
+    def messages(self) -> Iterator[RunMessage]:
         """The changed messages."""
         return self.change(iter(self.source.messages()))
 
 
-def scaled_odometry(messages: Iterator[Message]) -> Iterator[Message]:
+def scaled_odometry(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
     """Ways and turns of the wheels 10 % too long."""
     return _driven(messages, lambda step: _SCALE * step)
 
 
-def slipping_odometry(messages: Iterator[Message]) -> Iterator[Message]:
+def slipping_odometry(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
     """Turns of 5 degrees that only the wheels report, to either side, one in 10 m of way."""
     rng = np.random.default_rng(0)
 
@@ -70,7 +71,7 @@ def slipping_odometry(messages: Iterator[Message]) -> Iterator[Message]:
     return _driven(messages, slip)
 
 
-def every_second_scan(messages: Iterator[Message]) -> Iterator[Message]:
+def every_second_scan(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
     """Half of the scans are lost."""
     scans = 0
     for message in messages:
@@ -81,7 +82,7 @@ def every_second_scan(messages: Iterator[Message]) -> Iterator[Message]:
         yield message
 
 
-def random_beams(messages: Iterator[Message]) -> Iterator[Message]:
+def random_beams(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
     """A fifth of the beams return any range up to the scanner's largest."""
     rng = np.random.default_rng(0)
     for message in messages:
@@ -94,7 +95,7 @@ def random_beams(messages: Iterator[Message]) -> Iterator[Message]:
             yield message
 
 
-def narrow_view(messages: Iterator[Message]) -> Iterator[Message]:
+def narrow_view(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
     """Only the 90 degrees ahead are seen."""
     for message in messages:
         if isinstance(message, LaserScan):
@@ -110,7 +111,7 @@ def narrow_view(messages: Iterator[Message]) -> Iterator[Message]:
             yield message
 
 
-def no_odometry(messages: Iterator[Message]) -> Iterator[Message]:
+def no_odometry(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
     """The laser alone."""
     for message in messages:
         if isinstance(message, LaserScan):
@@ -131,8 +132,8 @@ ABLATIONS: dict[str, Change] = {
 
 
 def _driven(
-    messages: Iterator[Message], alter: Callable[[FloatArray], FloatArray]
-) -> Iterator[Message]:
+    messages: Iterator[RunMessage], alter: Callable[[FloatArray], FloatArray]
+) -> Iterator[RunMessage]:
     """The same messages with every step of the odometry altered; scans and wheels share a frame."""
     last: FloatArray | None = None
     altered = np.zeros(3)

@@ -23,13 +23,13 @@ from rgslam.metrics.rectangles import (
     landmark_errors,
     observation_errors,
 )
-from rgslam.observations import FrameObservations
+from rgslam.observations import FrameObservations, RunMessage
 from rgslam.pipeline import build_map
 from rgslam.rg_map import RGMap
 from rgslam.simulation import World, simulate
 from rgslam.simulation.recording import SimulatedRecording
 from rgslam.truth import Truth
-from rgslam.types import Message, ProgressCallback
+from rgslam.types import ProgressCallback
 
 NAN = float("nan")
 
@@ -162,7 +162,7 @@ class _Replay:
         self.warnings: list[str] = []
         self._recording, self._seen = recording.without_stereo(), seen
 
-    def messages(self) -> Iterator[Message | FrameObservations]:
+    def messages(self) -> Iterator[RunMessage]:
         return heapq.merge(
             self._recording.messages(), self._seen, key=lambda message: message.stamp
         )
