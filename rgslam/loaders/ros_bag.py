@@ -53,6 +53,7 @@ class RosBagRecording(Recording):
         self.path = path
         self._problems = Problems("message")
         self._late_warnings: list[str] = []
+        self._angles: FloatArray | None = None  # of the scan before
         with BagFile(path) as bag:
             held = bag.topics()
             self._topics = choose_topics(path, held, topics or {})
@@ -185,13 +186,16 @@ class RosBagRecording(Recording):
             return None
         if found.invalid:
             problems.add(_INVALID_RANGES, item.number, found.invalid)
+        # One array for all scans of a fan: whoever keeps scans keeps half as much
+        if self._angles is None or not np.array_equal(self._angles, found.angles):
+            self._angles = found.angles
         stamp = header_stamp(item.content)
         # Odometry of the very same moment belongs to the scan: so do robots that read both at once
         own = last.oTb if last is not None and last.stamp == stamp else None
         return LaserScan(
             stamp=stamp,
             ranges=found.ranges,
-            angles=found.angles,
+            angles=self._angles,
             max_range=self.laser.max_range,
             bTl=self.laser.bTl,
             odometry=own,
