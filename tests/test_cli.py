@@ -21,7 +21,16 @@ from rich.console import Console
 from rgslam import __version__
 from rgslam.interrupt import StopOnInterrupt
 
-COMMANDS = ["demo", "map", "segment", "evaluate", "check", "datasets list", "datasets fetch"]
+COMMANDS = [
+    "demo",
+    "map",
+    "segment",
+    "evaluate",
+    "check",
+    "convert",
+    "datasets list",
+    "datasets fetch",
+]
 
 
 def rgslam(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -147,6 +156,14 @@ def test_datasets(tmp_path: Path) -> None:
     unknown = rgslam("datasets", "fetch", "none", "--dir", tmp_path)
     assert unknown.returncode == 1
     assert unknown.stderr.startswith("error: no data set is named 'none'")
+
+
+def test_convert_and_check_a_bag(tmp_path: Path, tiny_log: Path) -> None:
+    assert rgslam("convert", tiny_log, tmp_path / "run.mcap").returncode == 0
+    assert "ROS 2 bag" in rgslam("check", tmp_path / "run.mcap").stdout
+    refused = rgslam("check", tmp_path / "run.mcap", "--topic", "scan=/nowhere")
+    assert refused.returncode == 1 and "no topic /nowhere for scan" in refused.stderr
+    assert rgslam("check", tmp_path / "run.mcap", "--topic", "scan").returncode == 2
 
 
 def test_an_error_of_ours_keeps_its_traceback(tmp_path: Path, tiny_log: Path) -> None:

@@ -52,7 +52,8 @@ def test_there_are_examples() -> None:
 
 
 def test_commands_of_the_readme_exist() -> None:
-    names = "demo|map|segment|evaluate|check|rectangles|predict-scan|experiment \\w+|datasets \\w+"
+    names = "demo|map|segment|evaluate|check|convert|rectangles|predict-scan"
+    names += "|experiment \\w+|datasets \\w+"
     commands = set(re.findall(rf"rgslam ({names})\b", README))
     assert {"demo", "map", "segment", "evaluate", "check", "rectangles"} <= commands
     helps = ""
