@@ -17,7 +17,6 @@ from rgslam.config import StereoConfig
 from rgslam.errors import CalibrationError
 from rgslam.stereo import (
     compute_disparity,
-    match_border,
     read_calibration,
     rectification_maps,
     rectify_pair,
@@ -230,20 +229,3 @@ def test_dense_disparity_says_nothing_where_nothing_is() -> None:
 def test_noise_is_measured_beside_edges() -> None:
     left, _ = render([Board(facing(), np.array([0, 0, 1.5]), (0.6, 0.6))], noise=3.0)
     assert image_noise(left) == pytest.approx(3.0, rel=0.1)
-
-
-def test_border_disparity_of_a_blank_board() -> None:
-    """A board without texture: its upright edges have the disparity, its inside has none."""
-    board = Board(facing(20.0), np.array([0.0, 0.0, 1.5]), (0.8, 0.5))
-    left, right = render([board])
-    corners = CAMERA.project(board.corners)
-    share = np.linspace(0.1, 0.9, 9)[:, None]
-    sides = [corners[0] + share * (corners[3] - corners[0]),
-             corners[1] + share * (corners[2] - corners[1])]  # fmt: skip
-    depths = np.repeat(board.corners[[0, 1], 2], 9)
-    found = match_border(left, right, np.concatenate(sides), (1.0, 120.0))
-    assert found.distinct.all()
-    # Noise of 1.5 on a step of 130 over 13 px: a profile is placed to about 0.05 px.
-    assert np.abs(found.disparity - CAMERA.disparity(depths)).max() < 0.25
-    inside = match_border(left, right, corners.mean(axis=0), (1.0, 120.0))
-    assert not inside.distinct.any()

@@ -3,7 +3,7 @@
 """Dense disparity of a rectified pair, only where the images say something.
 
 Semi-global matching (Hirschmüller 2008) at a reduced size: it gives the rough depth, the exact one
-comes from the borders (see `rgslam.stereo.border`).
+comes from the borders (see `rgslam.rectangles.verification`).
 """
 
 from __future__ import annotations

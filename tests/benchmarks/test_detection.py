@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from stereo_scenes import CAMERA, Board, facing, render
 from rgslam.config import Config, RectangleConfig
 from rgslam.rectangles.detection import detect_rectangles
 from rgslam.rectangles.line_segments import detect_lines
-from rgslam.stereo import compute_disparity
+from rgslam.stereo import compute_disparity, read_calibration
 
 GROUP = "detection on a pair of 766 x 580, one core"
 LARGE = replace(CAMERA, width=766, height=580, cx=391.685, cy=294.079)
@@ -45,6 +46,32 @@ def pair() -> Iterator[tuple[np.ndarray, np.ndarray]]:
 def test_full_detection(benchmark, pair) -> None:  # type: ignore[no-untyped-def]
     detect_rectangles(*pair, LARGE)  # compiles
     assert len(benchmark(detect_rectangles, *pair, LARGE).rectangles) >= 5
+    benchmark.extra_info["pairs per second"] = 1.0 / benchmark.stats.stats.median
+
+
+@pytest.mark.benchmark(group=GROUP, timer=time.process_time)
+@pytest.mark.data
+def test_full_detection_in_a_cluttered_photograph(benchmark, rgslam_data: Path, pair) -> None:  # type: ignore[no-untyped-def]
+    """A terrace front, some 200 lines; enlarged to the size of the others."""
+    folder = rgslam_data / "vision" / "eth3d_two_view" / "terrace_2s"
+    if not folder.is_dir():
+        pytest.skip(f"no images under {rgslam_data}")
+    camera = read_calibration(folder / "calib.txt").camera
+    height = LARGE.height
+    scale = height / camera.height
+    width = round(camera.width * scale)
+    first = (width - LARGE.width) // 2
+    images = []
+    for name in ("im0.png", "im1.png"):
+        image = cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE)
+        large = cv2.resize(image, (width, height))[:, first : first + LARGE.width]
+        images.append(np.ascontiguousarray(large))
+    view = replace(
+        LARGE, fx=camera.fx * scale, fy=camera.fy * scale, baseline=camera.baseline,
+        cx=(camera.cx + 0.5) * scale - 0.5 - first, cy=(camera.cy + 0.5) * scale - 0.5,
+    )  # fmt: skip
+    detect_rectangles(*images, view)  # compiles
+    assert len(benchmark(detect_rectangles, *images, view).rectangles) >= 2
     benchmark.extra_info["pairs per second"] = 1.0 / benchmark.stats.stats.median
 
 
