@@ -15,7 +15,9 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 from carmen_logs import flaser, write_log
+from helpers import two_room_world
 from rich.console import Console
 
 from rgslam import __version__
@@ -23,6 +25,7 @@ from rgslam.interrupt import StopOnInterrupt
 
 COMMANDS = [
     "demo",
+    "simulate",
     "map",
     "segment",
     "evaluate",
@@ -211,16 +214,20 @@ def test_progress_shows_stage_rate_and_count() -> None:
 
 @pytest.fixture(scope="module")
 def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a demo that ends early: a map, `recording.clf`, `truth.json`."""
+    """Folder of a demo that ends early: a map, `truth.json`, and `recording.clf` beside them."""
     from rgslam.demo import run_demo
+    from rgslam.export_carmen import write_carmen
+    from rgslam.simulation import World, simulate
 
     folder = tmp_path_factory.mktemp("cli") / "demo"
-    run_demo(folder, duration=30.0)
+    run_demo(folder, duration=30.0, stereo_rate=0.1)
+    run = simulate(World.built_in("office"), seed=1, duration=30.0, stereo=False)
+    write_carmen(run, folder / "recording.clf")
     return folder
 
 
 def test_map_then_evaluate_then_segment(tmp_path: Path, short_run: Path) -> None:
-    mapped = rgslam("map", short_run / "recording.clf", "--out", tmp_path / "map")
+    mapped = rgslam("map", short_run / "recording.mcap", "--out", tmp_path / "map")
     assert mapped.returncode == 0, mapped.stderr
     for words in ("regions", "gateways", "loops accepted", "loops rejected", "matching"):
         assert words in mapped.stdout
@@ -234,6 +241,24 @@ def test_map_then_evaluate_then_segment(tmp_path: Path, short_run: Path) -> None
     segmented = rgslam("segment", tmp_path / "map" / "map.yaml", "--out", tmp_path / "plan")
     assert segmented.returncode == 0, segmented.stderr
     assert {path.name for path in (tmp_path / "plan").iterdir()} >= {"regions.png", "rgmap.json"}
+
+
+def test_simulate_then_check(tmp_path: Path) -> None:
+    cameras = {"width": 64, "height": 48, "focal_px": 40.0, "rays_per_pixel": 4}
+    world = tmp_path / "rooms.yaml"
+    world.write_text(yaml.safe_dump(two_room_world(sensors={"stereo": cameras})))
+    run = tmp_path / "run"
+    made = rgslam("simulate", world, "--out", run, "--seed", "3", "--duration", "5")
+    assert made.returncode == 0, made.stderr
+    assert "10 StereoPair" in made.stdout
+    checked = rgslam("check", run)
+    assert checked.returncode == 0, checked.stdout
+    again = rgslam("simulate", world, "--out", run, "--duration", "5", "--no-stereo")
+    assert again.returncode == 0 and "StereoPair" not in again.stdout
+    world.write_text(world.read_text().replace("doors:", "dors:"))
+    wrong = rgslam("simulate", world, "--out", run)
+    assert wrong.returncode == 1
+    assert "dors" in wrong.stderr and len(wrong.stderr.splitlines()) == 1
 
 
 def test_interrupt_maps_what_has_been_read(tmp_path: Path, short_run: Path) -> None:

@@ -18,7 +18,7 @@ NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.i
 @pytest.fixture(scope="module")
 def demo_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("notebooks") / "demo"
-    _, evaluation = run_demo(folder, duration=40.0)
+    _, evaluation = run_demo(folder, duration=40.0, stereo_rate=0.1)
     return Path(evaluation.folder)
 
 

@@ -14,7 +14,9 @@ import pytest
 
 import rgslam
 from rgslam.demo import run_demo
+from rgslam.export_carmen import write_carmen
 from rgslam.rg_map import MAP_FILES
+from rgslam.simulation import World, simulate
 
 README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
 PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
@@ -24,9 +26,10 @@ PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the map of a short demo, and its recording under the README's name."""
     folder = tmp_path_factory.mktemp("readme")
-    run_demo(folder / "out" / "demo", duration=40.0)
-    recording = (folder / "out" / "demo" / "recording.clf").read_bytes()
-    (folder / "run.clf.bz2").write_bytes(bz2.compress(recording))
+    run_demo(folder / "out" / "demo", duration=40.0, stereo_rate=0.1)
+    run = simulate(World.built_in("office"), seed=1, duration=40.0, stereo=False)
+    write_carmen(run, folder / "run.clf")
+    (folder / "run.clf.bz2").write_bytes(bz2.compress((folder / "run.clf").read_bytes()))
     return folder
 
 
@@ -52,7 +55,7 @@ def test_there_are_examples() -> None:
 
 
 def test_commands_of_the_readme_exist() -> None:
-    names = "demo|map|segment|evaluate|check|convert|rectangles|predict-scan"
+    names = "demo|simulate|map|segment|evaluate|check|convert|rectangles|predict-scan"
     names += "|experiment \\w+|datasets \\w+"
     commands = set(re.findall(rf"rgslam ({names})\b", README))
     assert {"demo", "map", "segment", "evaluate", "check", "rectangles"} <= commands

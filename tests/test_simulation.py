@@ -421,6 +421,15 @@ def test_every_world_file_of_the_project_is_built_in() -> None:
     assert {path.stem for path in WORLDS.glob("*.yaml")} == set(BUILT_IN_WORLDS)
 
 
+def test_the_example_of_the_documentation_runs(tmp_path: Path) -> None:
+    text = (WORLDS.parent / "README.md").read_text(encoding="utf-8")
+    path = tmp_path / "my_building.yaml"
+    path.write_text(text.split("```yaml\n")[1].split("```")[0])
+    run = simulate(World.find(path), duration=2.0)
+    assert run.message_counts["StereoPair"] == 4
+    assert {r.name for r in run.truth.rectangles} >= {"whiteboard", "door between front"}
+
+
 def test_worlds_are_found_by_name_and_by_path() -> None:
     assert World.find("museum").name == World.find(WORLDS / "museum.yaml").name == "museum"
     with pytest.raises(WorldError, match="castle: no such file, and no built-in world"):

@@ -188,7 +188,7 @@ def _floor(kind: int, u: float, v: float, seed: int, grain: float) -> float:
     """Relative tone of a floor."""
     worn = 1.0 + 0.10 * ripple(u, v, 0.6, seed, grain)
     if kind == _CARPET:
-        pile = 0.45 * ripple(u, v, 210.0, seed, grain) + 0.25 * ripple(u, v, 60.0, seed + 1, grain)
+        pile = 0.3 * ripple(u, v, 210.0, seed, grain) + 0.2 * ripple(u, v, 60.0, seed + 1, grain)
         return worn + pile + 0.12 * ripple(u, v, 9.0, seed + 2, grain)
     if kind == _STONE:
         chips = ripple(u, v, 150.0, seed, grain)

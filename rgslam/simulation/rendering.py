@@ -24,9 +24,10 @@ from rgslam.simulation.world import World
 from rgslam.types import FloatArray, GreyImage, IntArray
 
 _CHUNK = 1 << 17  # rays per call of the ray caster: some 10 MB
-#: A pixel is looked at closely when it differs from a neighbour by more than this, grey levels: an
-#: edge that is fainter drowns in the noise of any camera.
-_CHANGE = 2.5
+#: A pixel is looked at closely when it differs from a neighbour by more than this, grey levels: on
+#: another surface (an edge that is fainter drowns in the noise of any camera), and on the same one
+#: (its finer texture has faded out already).
+_EDGE, _MARK = 2.5, 10.0
 #: The only ray through a pixel.
 _CENTRE = np.zeros((1, 2))
 #: The exposure brings the middle tone to this level, as a camera's meter does.
@@ -73,7 +74,7 @@ class Renderer:
     def exposure(self, wTc: FloatArray, camera: StereoCamera) -> float:
         """Exposure that a camera's meter would choose, from a coarse look at the scene."""
         step = max(1, camera.width // 64)
-        coarse = self._cast(wTc, camera, _grid(camera, step), _CENTRE, 1.0)
+        coarse, _ = self._cast(wTc, camera, _grid(camera, step), _CENTRE, 1.0)
         middle = max(float(np.median(coarse)), 1.0)
         return float((_MIDDLE / middle) ** _GAMMA)
 
@@ -81,12 +82,12 @@ class Renderer:
         self, wTc: FloatArray, camera: StereoCamera, exposure: float = 1.0, rays_per_pixel: int = 13
     ) -> Levels:
         """Image without noise, blur or vignetting."""
-        image = self._cast(wTc, camera, _grid(camera, 1), _CENTRE, exposure)
-        image = image.reshape(camera.height, camera.width)
+        levels, pieces = self._cast(wTc, camera, _grid(camera, 1), _CENTRE, exposure)
+        image = levels.reshape(camera.height, camera.width)
         if rays_per_pixel > 1:
-            rows, columns = np.nonzero(_changing(image))
+            rows, columns = np.nonzero(_changing(image, pieces.reshape(image.shape)))
             pixels = np.stack([columns, rows], axis=-1)
-            image[rows, columns] = self._cast(
+            image[rows, columns], _ = self._cast(
                 wTc, camera, pixels, _lattice(rays_per_pixel), exposure
             )
         return image
@@ -98,24 +99,28 @@ class Renderer:
         pixels: IntArray,
         offsets: FloatArray,
         exposure: float,
-    ) -> Levels:
-        """Mean levels (n,) of the rays through pixels (n, 2), each moved by offsets (k, 2)."""
+    ) -> tuple[Levels, npt.NDArray[np.float32]]:
+        """Mean levels (n,) of the rays through pixels (n, 2), each moved by offsets (k, 2).
+
+        Also the number (n,) of the piece that the first ray of each meets, exact as a float.
+        """
         intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         spread = 1.0 / (camera.fx * np.sqrt(len(offsets)))
-        levels = np.empty(len(pixels), np.float32)
+        levels, pieces = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.float32)
         step = max(1, _CHUNK // len(offsets))
         for start in range(0, len(pixels), step):
             some = pixels[start : start + step]
             rays = np.empty((len(some) * len(offsets), 6), np.float32)
             aim(some, offsets, wTc, intrinsics, rays)
             distance, triangle = self._scene.cast(rays)
+            pieces[start : start + step] = (triangle // 2)[:: len(offsets)]
             p = self._paint
             paint(
                 rays, distance, triangle, p.frames, p.numbers, p.finishes,
                 p.light.light, p.light.first, p.light.shape, p.glow,
                 spread, exposure, 1.0 / _GAMMA, levels[start : start + step],
             )  # fmt: skip
-        return levels
+        return levels, pieces
 
 
 def _grid(camera: StereoCamera, step: int) -> IntArray:
@@ -163,12 +168,13 @@ def _as_paint(pieces: list[Piece], scene: RayScene, world: World) -> Paint:
     )
 
 
-def _changing(image: Levels) -> npt.NDArray[np.bool_]:
+def _changing(image: Levels, pieces: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
     """Pixels (height, width) that differ from one of their eight neighbours."""
     import cv2
 
     kernel = np.ones((3, 3), np.uint8)
-    return cv2.dilate(image, kernel) - cv2.erode(image, kernel) > _CHANGE
+    change, other = (cv2.dilate(a, kernel) - cv2.erode(a, kernel) for a in (image, pieces))
+    return (change > _MARK) | ((change > _EDGE) & (other > 0.0))
 
 
 def _develop(levels: Levels, sensor: StereoSensor, rng: np.random.Generator) -> GreyImage:
