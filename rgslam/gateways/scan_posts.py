@@ -48,9 +48,12 @@ def refine_gateway(gateway: Gateway, hits: Hits, resolution: float, thickest: fl
     """
     hits = hits.near(gateway.points[0], gateway.points[1], _BESIDE + thickest)
     # The line of the grid may lie askew in its frame: it is laid along the wall first
+    found = gateway
     for _ in range(_ROUNDS):
-        gateway = _refine_once(gateway, hits, resolution, thickest)
-    return gateway
+        found = _refine_once(found, hits, resolution, thickest)
+    moved = np.linalg.norm(found.points - gateway.points, axis=1)
+    # Farther than the grid can be wrong is something else than this gateway's frame
+    return found if moved.max() <= _REACH * resolution else gateway
 
 
 def _refine_once(gateway: Gateway, hits: Hits, resolution: float, thickest: float) -> Gateway:
