@@ -654,6 +654,9 @@ def fusion_experiment(
         float | None,
         typer.Option("--duration", min=1.0, help="End each run after seconds."),
     ] = None,
+    images: Annotated[
+        bool, typer.Option("--images/--no-images", help="Render, or measure corners directly.")
+    ] = True,
     as_json: AsJson = False,
 ) -> None:
     """Simulate runs with stereo, map them, score landmarks and poses against the truth.
@@ -674,6 +677,7 @@ def fusion_experiment(
             stereo_rate,
             duration,
             progress=progress.update,
+            images=images,
         )
     _print_json(result.to_dict()) if as_json else print_fusion(result)
 

@@ -73,6 +73,7 @@ class Fusion:
     landmarks: tuple[Landmark, ...]
     cuboids: tuple[FittedCuboid, ...]  # their faces are numbers of landmarks
     counts: Mapping[str, int]  # decisions, by what was decided
+    marginals: JointMarginals  # of all variables, for who wants to know more
 
 
 def fuse_landmarks(
@@ -123,7 +124,7 @@ def fuse_landmarks(
     corners = np.array([landmark.state.corners for landmark in landmarks]).reshape(-1, 4, 3)
     cuboids = fit_cuboids(corners, marginals.corner_covariance)
     counts.update(tracks=len(association.tracks), landmarks=len(landmarks), cuboids=len(cuboids))
-    return Fusion(start, covariances, landmarks, cuboids, dict(counts))
+    return Fusion(start, covariances, landmarks, cuboids, dict(counts), marginals)
 
 
 def _sight_count(tracks: Sequence[Track]) -> int:

@@ -27,6 +27,7 @@ from rgslam.observations import FrameObservations, RunMessage
 from rgslam.pipeline import build_map
 from rgslam.rg_map import RGMap
 from rgslam.simulation import World, simulate
+from rgslam.simulation.measured_corners import measured_corners
 from rgslam.simulation.recording import SimulatedRecording
 from rgslam.truth import Truth
 from rgslam.types import ProgressCallback
@@ -91,6 +92,8 @@ def run_fusion(
     duration: float | None = None,
     config: Config | None = None,
     progress: ProgressCallback | None = None,
+    *,
+    images: bool = True,
 ) -> FusionResult:
     """Simulate, map and score every world with every seed.
 
@@ -101,6 +104,8 @@ def run_fusion(
         duration: end each run after so many seconds.
         config: what the maps are made with.
         progress: called by every stage.
+        images: render them and find the rectangles; False: corners are measured with known noise
+            (`rgslam.simulation.measured_corners`), which tests what comes after detection.
     """
     config = Config() if config is None else config
     runs = []
@@ -108,15 +113,19 @@ def run_fusion(
         world = World.from_yaml(name) if Path(name).suffix else World.built_in(name)
         for seed in seeds:
             recording = simulate(world, seed, duration, progress, stereo_rate=stereo_rate)
-            runs.append(_score(recording, config, progress))
+            runs.append(_score(recording, config, progress, images))
     return FusionResult((*(_row([run]) for run in runs), _row(runs)))
 
 
 def _score(
-    recording: SimulatedRecording, config: Config, progress: ProgressCallback | None
+    recording: SimulatedRecording,
+    config: Config,
+    progress: ProgressCallback | None,
+    images: bool,
 ) -> _Run:
     truth = recording.truth
-    rg_map = build_map(recording, config, progress)
+    source = recording if images else _Replay(recording, measured_corners(truth))
+    rg_map = build_map(source, config, progress)
     seen = [frame.observations for frame in rg_map.frames]
     start = anchored_alignment(rg_map.keyframes.wTb[0], _true_pose(truth, rg_map))
     ates = [_ate(rg_map, truth)]

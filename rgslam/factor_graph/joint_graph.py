@@ -278,6 +278,23 @@ class JointMarginals:
         covariance = self._marginals.marginalCovariance(key)
         return np.asarray(covariance[np.ix_(_PLANAR, _PLANAR)])
 
+    def correlation(self, number: int, key: int) -> float:
+        """How much a rectangle's place and a pose err alike, 0..1.
+
+        The largest correlation between a direction of the rectangle's centre and one of the pose on
+        the floor (first canonical correlation).
+        """
+        keys = [*corner_keys(number), key]
+        joint = self._marginals.jointMarginalCovariance(keys)
+        full = np.block([[joint.at(a, b) for b in keys] for a in keys])
+        to_centre = np.zeros((6, 18))
+        to_centre[:3, :12] = np.tile(0.25 * np.eye(3), 4)
+        to_centre[3:, 12:] = np.eye(6)[_PLANAR]
+        spread = to_centre @ full @ to_centre.T
+        own, pose = (np.linalg.cholesky(spread[s, s]) for s in (slice(3), slice(3, 6)))
+        shared = np.linalg.solve(own, spread[:3, 3:]) @ np.linalg.inv(pose).T
+        return float(np.linalg.svd(shared, compute_uv=False)[0])
+
     def rectangle(self, number: int) -> RectangleMarginal:
         """Corners of a rectangle with their joint covariance."""
         corners = np.array([self._values.atPoint3(key) for key in corner_keys(number)])
