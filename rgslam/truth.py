@@ -23,6 +23,8 @@ from rgslam.types import FloatArray, GatewayClass, RegionClass, Trajectory
 
 FORMAT = "rgslam/truth"
 VERSION = 1
+#: Label of a rectangle that is a part of the building itself: no thing that a map must name.
+WALL = "wall"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +56,7 @@ class TruthRectangle:
     """A rectangular thing as it was built; a door leaf is two of them, one per face."""
 
     name: str
-    label: str  # what it is: door, whiteboard, ...; wall = a part of the building itself, which
-    # is a rectangle too, and no thing that a map must name
+    label: str  # what it is: door, whiteboard, ..., or `WALL`
     wTr: FloatArray  # (4, 4)
     size: FloatArray  # (2,), width and height, m
     cuboid: str | None = None  # name of the cuboid that it is a face of

@@ -35,7 +35,8 @@ from rgslam.metrics import (
 )
 from rgslam.metrics.against_truth import align, relative_errors
 from rgslam.metrics.consistency import pose2_log
-from rgslam.truth import Truth, TruthGateway, TruthRegion, read_truth
+from rgslam.observation_file import encode_observations
+from rgslam.truth import Truth, TruthFrame, TruthGateway, TruthRegion, read_truth
 from rgslam.types import (
     Crossing,
     FloatArray,
@@ -588,6 +589,18 @@ def test_evaluates_a_perfect_map_laid_elsewhere(tmp_path: Path, truth: Truth) ->
     assert scores["counts"]["gateways"] == 1
     table = dict(evaluate_map(folder, truth=tmp_path / "truth.json").rows())
     assert table["gateways found"] == "1 of 1, 0 false"
+
+
+def test_a_map_without_stereo_has_no_scores_of_rectangles(tmp_path: Path, truth: Truth) -> None:
+    folder = map_folder(tmp_path / "map", truth, np.zeros(3))
+    (folder / "observations.json").write_bytes(encode_observations(()))
+    frame = TruthFrame(truth.trajectory.stamps[0], truth.trajectory.wTb[0], ())
+    dataclasses.replace(truth, frames=(frame,), bTc=np.eye(4)).save(tmp_path / "truth.json")
+    evaluation = evaluate_map(folder, truth=tmp_path / "truth.json")
+    assert not {"observations", "rectangles"} & set(evaluation.to_dict()["truth"])
+    table = dict(evaluation.rows())
+    assert table["rectangles"] == "not scored: the map holds none of 1 stereo frames"
+    assert "rectangles in the map" not in table
 
 
 def test_relations_need_the_trajectory_only(tmp_path: Path, truth: Truth) -> None:

@@ -169,6 +169,23 @@ def test_what_is_hidden_need_not_be_found_and_may_be() -> None:
     assert dict(observation_rows(errors))["rectangles in frames"].startswith("none found of 0")
 
 
+def test_walls_need_not_be_found_and_may_be() -> None:
+    truth = truth_of(np.zeros((4, 3)))
+    wall = replace(truth, rectangles=(replace(BOARDS[0], label="wall"), *BOARDS[1:]))
+    errors = observation_errors(observed(wall), wall)
+    assert (errors.wanted, errors.found) == (0, 0)
+    assert (errors.detections, errors.true_detections) == (8, 4)
+    wanted = expected_rectangles(wall)
+    assert not wanted.any()
+    found = [landmark(0, BOARDS[0].wTr, BOARDS[0].size)]
+    landmarks = landmark_errors(found, wall.rectangles, wanted, np.zeros(3))
+    assert landmarks.wanted == 0 and landmarks.pairs.tolist() == [[0, 0]]
+    # A lamp hangs on the building and is a thing all the same
+    lamp = replace(truth, rectangles=(replace(BOARDS[0], label="lamp"), *BOARDS[1:]))
+    assert observation_errors(observed(lamp), lamp).wanted == 4
+    assert expected_rectangles(lamp).tolist() == [True, False, False]
+
+
 def test_frames_without_truth() -> None:
     truth = truth_of(np.zeros((2, 3)))
     late = [replace(frame, stamp=frame.stamp + 0.5) for frame in observed(truth)]

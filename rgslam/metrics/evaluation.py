@@ -67,8 +67,9 @@ class TruthErrors:
     true_gateways: int
     true_regions: int
     nees: Nees | str  # or why it is not known
-    observations: ObservationErrors | None = None  # None = a run without stereo
+    observations: ObservationErrors | None = None  # None = the run or the map has no stereo
     landmarks: LandmarkErrors | None = None
+    true_frames: int = 0  # stereo pairs of the run
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +169,8 @@ def _against_truth(
         consistency = str(error)
     gateways = gateway_errors(document["gateways"], truth.gateways, poses.tTw)
     observations = landmarks = None
-    if truth.bTc is not None:
-        frames = decode_observations(*_read(folder, "observations.json"))
+    frames = decode_observations(*_read(folder, "observations.json")) if truth.frames else ()
+    if frames:
         observations = observation_errors([frame.observations for frame in frames], truth)
         landmarks = landmark_errors(
             document["rectangles"],
@@ -190,6 +191,7 @@ def _against_truth(
         nees=consistency,
         observations=observations,
         landmarks=landmarks,
+        true_frames=len(truth.frames),
     )
 
 
@@ -338,6 +340,8 @@ def _truth_rows(errors: TruthErrors) -> Iterator[Row]:
     yield "keyframe NEES", nees_text(errors.nees)
     yield from _region_rows(errors)
     yield from _gateway_rows(errors)
+    if errors.observations is None and errors.true_frames:
+        yield "rectangles", f"not scored: the map holds none of {errors.true_frames} stereo frames"
     if errors.observations is not None:
         yield from observation_rows(errors.observations)
     if errors.landmarks is not None:

@@ -3,7 +3,8 @@
 """Rectangles against the truth of a simulated run: those of single frames, and fused landmarks.
 
 What has to be found is what one can be expected to find: seen wholly by both cameras, neither near
-nor far, neither slanted nor tiny. What is found beyond that is no mistake as long as it is there.
+nor far, neither slanted nor tiny, and no part of the building's walls. What is found beyond that is
+no mistake as long as it is there.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from rgslam.metrics.against_truth import best_pairs
 from rgslam.metrics.consistency import Nees, nees
 from rgslam.metrics.relations import STAMP_TOLERANCE
 from rgslam.observations import FrameObservations
-from rgslam.truth import Truth, TruthFrame, TruthRectangle, TruthSight
+from rgslam.truth import WALL, Truth, TruthFrame, TruthRectangle, TruthSight
 from rgslam.types import FloatArray, IntArray, Mask, Rectangle
 
 #: What has to be found: distance of the centre (m), viewing angle, shortest side in the image.
@@ -194,7 +195,8 @@ def _sight(
     cTr = np.asarray(np.linalg.solve(spatial(frame.wTb) @ bTc, true.wTr), float)
     distance, angle_deg = _view(cTr)
     sides = np.linalg.norm(sight.corners_px - np.roll(sight.corners_px, -1, axis=0), axis=1)
-    wanted = sight.whole and _expected(distance, angle_deg, float(sides.min()))
+    named = sight.whole and true.label != WALL
+    wanted = named and _expected(distance, angle_deg, float(sides.min()))
     return _Sight(cTr, true.size, sight.corners_px, distance, angle_deg, wanted)
 
 

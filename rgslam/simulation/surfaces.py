@@ -20,7 +20,7 @@ from rgslam.errors import WorldError
 from rgslam.simulation.building import Solid, face_of_opening, footprint, wall_of
 from rgslam.simulation.lamps import lamp_places
 from rgslam.simulation.world import Box, Door, Mount, Rectangle, Surface, Window, World
-from rgslam.truth import TruthCuboid, TruthRectangle
+from rgslam.truth import WALL, TruthCuboid, TruthRectangle
 from rgslam.types import FloatArray
 
 #: Paint on a wall lies this far before it, m: the ray caster tells a hundredth of that apart.
@@ -139,16 +139,16 @@ def _wall_pieces(solid: Solid, tone: float) -> Iterator[Piece]:
     for k, side in enumerate(_sides(solid, Finish.WALL, tone), start=1):
         name = f"{solid.name} side {k}"
         if not standing:
-            yield replace(side, name=name, label="wall")
+            yield replace(side, name=name, label=WALL)
             continue
         low, high = np.array([side.size[0], _SKIRTING]), np.array([0.0, _SKIRTING])
         lift = np.array([0.0, 0.0, _SKIRTING])
         yield replace(side, corner=side.corner + lift, size=side.size - high, name=name,
-                      label="wall")  # fmt: skip
+                      label=WALL)  # fmt: skip
         yield replace(side, size=low, finish=Finish.PLAIN, tone=_SKIRTING_TONE)
     if len(solid.polygon.exterior.coords) == 5:  # sills and lintels; walls end at the ceiling
         for face, cap in zip(("top", "underside"), _caps(solid, Finish.WALL, tone), strict=True):
-            yield replace(cap, name=f"{solid.name} {face}", label="wall")
+            yield replace(cap, name=f"{solid.name} {face}", label=WALL)
 
 
 def _sides(solid: Solid, finish: Finish, tone: float) -> Iterator[Piece]:
