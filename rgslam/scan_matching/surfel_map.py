@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rgslam.scan_matching.scan_points import SURFACE
 from rgslam.types import FloatArray
 
 #: Cells of the levels of the search bound, coarse to fine: 16 x 16, 4 x 4 cells, one cell.
@@ -67,6 +68,9 @@ def build_surfel_map(
 ) -> SurfelMap:
     """Merge points into surfels.
 
+    The map reaches as far as surfaces do: stray returns far beyond them match nothing and would
+    only make the grids large.
+
     Args:
         w_points: (n, 2), the points.
         w_normals: (n, 2), their normals; 0 where unreliable.
@@ -78,13 +82,16 @@ def build_surfel_map(
     Returns:
         The map; its border of 16 empty cells keeps every bound of the search valid.
     """
-    x, y = w_points[:, 0], w_points[:, 1]
-    low = np.array([x.min(), y.min()]) - BLOCKS[0] * resolution
-    rows = int(np.ceil((y.max() - low[1]) / resolution)) + BLOCKS[0]
-    cols = int(np.ceil((x.max() - low[0]) / resolution)) + BLOCKS[0]
+    surfaces = w_points[classes == SURFACE]
+    reach = surfaces if len(surfaces) else w_points
+    low, high = reach.min(axis=0), reach.max(axis=0)
+    inside = ((w_points >= low) & (w_points <= high)).all(axis=1)
+    low = low - BLOCKS[0] * resolution
+    cols, rows = (np.ceil((high - low) / resolution).astype(int) + BLOCKS[0]).tolist()
     points, normals, variances, is_edge = _merge(
-        w_points, w_normals, normal_variances, classes, low, resolution, rows, cols
-    )
+        w_points[inside], w_normals[inside], normal_variances[inside], classes[inside],
+        low, resolution, rows, cols,
+    )  # fmt: skip
     nearest = _stamp(points, low, resolution, rows, cols)
     return SurfelMap(Surfels(points, normals, variances, is_edge, nearest, resolution, low))
 
