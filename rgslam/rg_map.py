@@ -15,7 +15,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -102,10 +102,7 @@ class RGMap:
         Raises:
             MapError: there is none.
         """
-        for region in self.regions:
-            if region.id == region_id:
-                return region
-        raise MapError(f"no region {region_id!r}; {_known('regions', self.regions)}")
+        return _by_id("region", self.regions, region_id)
 
     def gateway(self, gateway_id: int) -> Gateway:
         """The gateway of that id.
@@ -113,10 +110,7 @@ class RGMap:
         Raises:
             MapError: there is none.
         """
-        for gateway in self.gateways:
-            if gateway.id == gateway_id:
-                return gateway
-        raise MapError(f"no gateway {gateway_id!r}; {_known('gateways', self.gateways)}")
+        return _by_id("gateway", self.gateways, gateway_id)
 
     def rectangle(self, rectangle_id: int) -> Rectangle:
         """The rectangle of that id.
@@ -124,10 +118,7 @@ class RGMap:
         Raises:
             MapError: there is none.
         """
-        for rectangle in self.rectangles:
-            if rectangle.id == rectangle_id:
-                return rectangle
-        raise MapError(f"no rectangle {rectangle_id!r}; {_known('rectangles', self.rectangles)}")
+        return _by_id("rectangle", self.rectangles, rectangle_id)
 
     def graph(self) -> networkx.MultiGraph:
         """Regions joined by gateways.
@@ -281,7 +272,13 @@ def _decode_run(text: bytes, name: str) -> RunInfo:
         raise MapError(f"{name}: {place}: {first['msg']}") from error
 
 
-def _known(kind: str, items: Sequence[Region] | Sequence[Gateway] | Sequence[Rectangle]) -> str:
-    if not items:
-        return f"the map has no {kind}"
-    return f"the map's {kind} are {', '.join(str(item.id) for item in items)}"
+_Item = TypeVar("_Item", Region, Gateway, Rectangle)
+
+
+def _by_id(kind: str, items: Sequence[_Item], number: int) -> _Item:
+    for item in items:
+        if item.id == number:
+            return item
+    known = ", ".join(str(item.id) for item in items)
+    there = f"the map's {kind}s are {known}" if items else f"the map has no {kind}s"
+    raise MapError(f"no {kind} {number!r}; {there}")

@@ -11,8 +11,7 @@ import numpy as np
 from rgslam.camera import StereoCamera
 from rgslam.geometry import between, compose
 from rgslam.observations import FrameObservations, PlacedFrame
-from rgslam.rectangles.detection import DetectedRectangle
-from rgslam.rectangles.maximum_likelihood import CornerMeasurements, fit_rectangles
+from rgslam.simulation.measured_corners import fitted_rectangles
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
 CAMERA = StereoCamera(fx=400.0, fy=400.0, cx=319.5, cy=239.5, width=640, height=480, baseline=0.2)
@@ -76,34 +75,9 @@ def see(wTb: FloatArray, rectangles: list[TrueRectangle], rng: np.random.Generat
             left.append(pair[0] + rng.normal(0.0, sigma, (4, 2)))
             right.append(pair[1] + rng.normal(0.0, sigma, (4, 2)))
             which.append(i)
-    return _detected(np.array(left), np.array(right), sigma), which
-
-
-def _detected(left: FloatArray, right: FloatArray, sigma: float) -> tuple[DetectedRectangle, ...]:
-    if not len(left):
-        return ()
-    noise = np.tile(sigma**2 * np.eye(8), (len(left), 1, 1))
-    fit = fit_rectangles(
-        CornerMeasurements.of(left, noise, right_px=right, right_covariance=noise), CAMERA
-    )
-    return tuple(
-        DetectedRectangle(
-            rotation=fit.rotations[k],
-            translation=fit.translations[k],
-            size=fit.sizes[k],
-            covariance=fit.covariances[k],
-            corners=fit.corners[k],
-            corner_covariances=fit.corner_covariances[k],
-            left_px=left[k],
-            left_covariance=noise[k],
-            right_px=right[k],
-            right_covariance=noise[k],
-            cost=float(fit.costs[k]),
-            probability=0.9,
-            support=np.ones(4),
-        )
-        for k in range(len(left))
-    )
+    found = fitted_rectangles(np.array(left), np.array(right), sigma, CAMERA) if left else ()
+    assert len(found) == len(left)
+    return found, which
 
 
 def door_run(seed: int, length: float = 20.0, drift: float = 1.0, sigma: float = 0.3) -> DoorRun:

@@ -63,7 +63,7 @@ def _observe(
         if sight.whole and _well_seen(c_corners) and rng.random() < share:
             left.append(camera.project(c_corners) + rng.normal(0.0, sigma, (4, 2)))
             right.append(camera.project_right(c_corners) + rng.normal(0.0, sigma, (4, 2)))
-    found = _fitted(np.array(left), np.array(right), sigma, camera) if left else ()
+    found = fitted_rectangles(np.array(left), np.array(right), sigma, camera) if left else ()
     return FrameObservations(frame.stamp, camera, bTc, found, {})
 
 
@@ -75,9 +75,10 @@ def _well_seen(c_corners: FloatArray) -> bool:
     return distance <= _FARTHEST and slant >= _STEEPEST
 
 
-def _fitted(
+def fitted_rectangles(
     left: FloatArray, right: FloatArray, sigma: float, camera: StereoCamera
 ) -> tuple[DetectedRectangle, ...]:
+    """Rectangles whose corners (n, 4, 2) were measured in both images with a known sigma (px)."""
     noise = np.tile(sigma**2 * np.eye(8), (len(left), 1, 1))
     fit = fit_rectangles(
         CornerMeasurements.of(left, noise, right_px=right, right_covariance=noise), camera
