@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ from rgslam.rectangles.line_segments import lines_of_gradient
 from rgslam.rectangles.maximum_likelihood import (
     CornerMeasurements,
     RectangleEstimates,
+    corner_jacobians,
     fit_rectangles,
 )
 from rgslam.rectangles.plane_normal import plane_normal
@@ -27,7 +29,9 @@ from rgslam.rectangles.ray_plane import shape_score
 from rgslam.rectangles.rejection import Rejection
 from rgslam.rectangles.right_search import find_in_right
 from rgslam.rectangles.rivals import without_rivals
+from rgslam.rectangles.thin_frames import outer_border
 from rgslam.rectangles.verification import (
+    LARGEST_COST,
     RightCorners,
     measure_in_right,
     rectangle_probability,
@@ -37,6 +41,7 @@ from rgslam.types import FloatArray
 
 _GreyImage = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
+_WIDENING = 1e-3  # m, a step small enough for a derivative
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +136,9 @@ def detect_rectangles(
     # 4. Maximum likelihood from all corners in both images
     estimates = _estimate(quads, measured, camera)
     found = _accept(quads, measured, estimates, config, rejected)
-    return _detection(found, rejected, len(lines))
+    return _detection(
+        tuple(_with_frame(one, (left, right), camera) for one in found), rejected, len(lines)
+    )
 
 
 def _detection(
@@ -235,6 +242,38 @@ def _accept(
     return tuple(_rectangle(int(i), quads, measured, estimates, probability) for i in order[kept])
 
 
+def _with_frame(
+    found: DetectedRectangle, images: tuple[_GreyImage, _GreyImage], camera: StereoCamera
+) -> DetectedRectangle:
+    """The same thing as far as its thin frame reaches, if it has one."""
+    by_size = corner_jacobians(found.rotation[None], found.size[None])[0, :, :, 6:]
+    wider = found.corners + 2.0 * _WIDENING * by_size.sum(axis=2)
+    project = (camera.project, camera.project_right)
+    slopes = np.array([(p(wider) - p(found.corners)) / _WIDENING for p in project])
+    border = outer_border(images, np.array([found.left_px, found.right_px]), slopes)
+    if border is None:
+        return found
+    left_covariance = found.left_covariance + border.covariances[0]
+    right_covariance = found.right_covariance + border.covariances[1]
+    measurements = CornerMeasurements.of(
+        border.corners[0][None],
+        left_covariance[None],
+        right_px=border.corners[1][None],
+        right_covariance=right_covariance[None],
+    )
+    fitted = fit_rectangles(measurements, camera)
+    if not fitted.converged[0] or fitted.costs[0] > LARGEST_COST:
+        return found
+    return replace(
+        found,
+        **_estimated(fitted, 0),
+        left_px=border.corners[0],
+        left_covariance=left_covariance,
+        right_px=border.corners[1],
+        right_covariance=right_covariance,
+    )
+
+
 def _rectangle(
     index: int,
     quads: Quadrangles,
@@ -242,24 +281,30 @@ def _rectangle(
     estimates: RectangleEstimates,
     probability: FloatArray,
 ) -> DetectedRectangle:
-    one = RectangleEstimates(
-        *(getattr(estimates, name)[index : index + 1] for name in _ESTIMATE_FIELDS)
-    )
     return DetectedRectangle(
-        rotation=one.rotations[0],
-        translation=one.translations[0],
-        size=one.sizes[0],
-        covariance=one.covariances[0],
-        corners=one.corners[0],
-        corner_covariances=one.corner_covariances[0],
+        **_estimated(estimates, index),
         left_px=quads.corners[index],
         left_covariance=quads.covariances[index],
         right_px=measured.corners[index],
         right_covariance=measured.covariances[index],
-        cost=float(one.costs[0]),
         probability=float(probability[index]),
         support=quads.support[index],
     )
+
+
+def _estimated(estimates: RectangleEstimates, index: int) -> dict[str, Any]:
+    one = RectangleEstimates(
+        *(getattr(estimates, name)[index : index + 1] for name in _ESTIMATE_FIELDS)
+    )
+    return {
+        "rotation": one.rotations[0],
+        "translation": one.translations[0],
+        "size": one.sizes[0],
+        "covariance": one.covariances[0],
+        "corners": one.corners[0],
+        "corner_covariances": one.corner_covariances[0],
+        "cost": float(one.costs[0]),
+    }
 
 
 _ESTIMATE_FIELDS = (

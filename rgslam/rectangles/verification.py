@@ -26,7 +26,7 @@ _BASE, _LEFT, _RIGHT, _COST = -3.5, 4.7, 4.3, -0.6
 _LOOSE = -np.array([0.0, 2.0, 3.6, 4.8, 6.0, 7.2, 8.4, 9.6, 10.8])
 # A chi-square of eight degrees of freedom is larger in 0.1 % of the cases: beyond it the model is
 # wrong, at the rate at which errors of three times the stated size would be.
-_LARGEST_COST, _MISFIT = 26.0, -0.5 / 9.0
+LARGEST_COST, _MISFIT = 26.0, -0.5 / 9.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def rectangle_probability(
         + _LEFT * left_support.min(axis=1)
         + _RIGHT * right_support.min(axis=1)
         + _COST * np.log1p(costs)
-        + _MISFIT * np.maximum(costs - _LARGEST_COST, 0.0)
+        + _MISFIT * np.maximum(costs - LARGEST_COST, 0.0)
         + _LOOSE[loose_ends]
         + other_log_odds
     )
