@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -23,10 +24,13 @@ from rich.table import Table
 from rich.text import Text
 
 from rgslam.metrics import Evaluation
+from rgslam.rectangle_words import RECTANGLE_HEAD, largest_first, rectangle_rows
 from rgslam.rg_map import RGMap
+from rgslam.types import Rectangle
 
 # A terminal shows no more than that, and stages report thousands of times a second.
 _REFRESH_SECONDS = 0.1
+_RECTANGLES_SHOWN = 10  # in the summary; the report has them all
 
 # In the order of the summary, with the words for people.
 _COUNTS = {
@@ -110,9 +114,24 @@ def print_map_summary(rg_map: RGMap, console: Console | None = None) -> None:
     for stage, seconds in run.seconds.items():
         table.add_row(stage, f"{seconds:.1f} s")
     console.print(table)
+    if rg_map.rectangles:
+        console.print(_rectangle_table(rg_map.rectangles))
     errors = Console(stderr=True)
     for warning in run.warnings:
         errors.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _rectangle_table(rectangles: Sequence[Rectangle]) -> Table:
+    shown = rectangle_rows(largest_first(rectangles)[:_RECTANGLES_SHOWN])
+    title = f"Rectangles, the {len(shown)} largest of {len(rectangles)}"
+    table = Table(title=title, title_justify="left")
+    for name in RECTANGLE_HEAD:
+        table.add_column(
+            name.removeprefix("#"), justify="right" if name.startswith("#") else "left"
+        )
+    for row in shown:
+        table.add_row(*(Text(cell) for cell in row))
+    return table
 
 
 def print_evaluation(evaluation: Evaluation, console: Console | None = None) -> None:

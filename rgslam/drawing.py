@@ -28,6 +28,7 @@ from matplotlib.patches import Patch, Polygon
 from rgslam.label_placement import LabelPlacer
 from rgslam.map_style import (
     GATEWAY_COLOURS,
+    RECTANGLE_COLOUR,
     class_name,
     darker,
     gateway_name,
@@ -50,7 +51,7 @@ _FONT = "DejaVu Sans"  # comes with Matplotlib: the same letters on every machin
 
 _OCCUPIED, _UNKNOWN, _FREE = "#2b2f36", "#e9ecef", "#ffffff"
 _PATH, _TEXT, _QUIET_TEXT = "#59636e", "#1f2328", "#59636e"
-_RECTANGLE, _SIGHT = "#b5179e", "#c65bb6"
+_SIGHT = "#c65bb6"
 
 _REGION_LABEL_SIZES = (13.0, 11.0, 9.5)  # pt, the largest that fits
 _GATEWAY_LABEL_SIZE = 10.0  # pt
@@ -229,7 +230,7 @@ def _draw_legend(figure: Any, picture: Picture, height: float) -> None:
     if len(picture.w_path):
         handles.append(Line2D([], [], color=_PATH, linewidth=1.0, label="trajectory"))
     if len(picture.rectangles):
-        handles.append(Line2D([], [], color=_RECTANGLE, linewidth=2.6, label="rectangle"))
+        handles.append(Line2D([], [], color=RECTANGLE_COLOUR, linewidth=2.6, label="rectangle"))
     if len(picture.sights):
         handles.append(Line2D([], [], color=_SIGHT, linewidth=0.8, label="sight in a frame"))
     present = {gateway.label for gateway in picture.gateways}
@@ -343,7 +344,7 @@ def _draw_rectangles(ax: Any, picture: Picture) -> None:
     """From above: what hangs on a wall is a stroke, what lies is an outline."""
     for corners, colour, width, alpha, zorder in (
         (picture.sights, _SIGHT, 0.8, 0.45, 5.4),
-        (picture.rectangles, _RECTANGLE, 2.6, 1.0, 5.6),
+        (picture.rectangles, RECTANGLE_COLOUR, 2.6, 1.0, 5.6),
     ):
         outlines = corners[:, [0, 1, 2, 3, 0], :2]
         ax.add_collection(

@@ -34,6 +34,8 @@ GATEWAY_COLOURS = {
     GatewayClass.X_JUNCTION: "#15803d",
 }
 
+RECTANGLE_COLOUR = "#b5179e"
+
 #: Regions whose outlines come closer than a thick wall look adjacent, m.
 _WALL = 0.6
 

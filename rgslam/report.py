@@ -17,6 +17,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rgslam.map_style import class_name, gateway_name, region_name
+from rgslam.rectangle_words import (
+    RECTANGLE_HEAD,
+    cuboid_rows,
+    largest_first,
+    rectangle_rows,
+)
 from rgslam.report_plots import (
     PATH_TOLERANCE,
     Figure,
@@ -47,8 +53,8 @@ section { background: #fff; border: 1px solid #d8dee4; border-radius: 8px;
   padding: 18px 20px; margin: 16px 0; }
 .quiet { color: #59636e; }
 .cards { display: flex; flex-wrap: wrap; gap: 10px; margin: 16px 0 0; }
-.card { background: #fff; border: 1px solid #d8dee4; border-radius: 8px; padding: 8px 16px;
-  min-width: 92px; }
+.card { background: #fff; border: 1px solid #d8dee4; border-radius: 8px; padding: 8px 12px;
+  min-width: 84px; }
 .card b { display: block; font-size: 20px; font-variant-numeric: tabular-nums; }
 .card span { color: #59636e; font-size: 13px; }
 .columns { display: grid; gap: 0 32px;
@@ -87,6 +93,7 @@ def render_report(rg_map: RGMap) -> str:
             _sigma_section(),
             _gateway_section(rg_map),
             _region_section(rg_map),
+            _rectangle_section(rg_map),
             _loop_section(rg_map),
             "</main>",
             f"<script>{get_plotlyjs()}</script>",
@@ -106,6 +113,7 @@ def _head(rg_map: RGMap, title: str) -> str:
     cards = [
         (f"{len(rg_map.regions)}", "regions"),
         (f"{len(rg_map.gateways)}", "gateways"),
+        *([(f"{len(rg_map.rectangles):,}", "rectangles")] if rg_map.frames else []),
         (f"{sum(region.area for region in rg_map.regions):,.0f} m²", "mapped"),
         (f"{len(stamps):,}", "scans"),
         (f"{len(rg_map.keyframes.stamps):,}", "keyframes"),
@@ -126,9 +134,9 @@ def _head(rg_map: RGMap, title: str) -> str:
 def _map_section() -> str:
     note = (
         "Drag to move, scroll to zoom, click in the legend to show or hide. The mouse shows what is"
-        " known of a region, a gateway or a moment of the drive. The path is drawn to within"
-        f" {100 * PATH_TOLERANCE:.0f} cm; the ellipses of the keyframes (in the legend) hold the"
-        " position with a probability of 95 % and are drawn larger by the factor named there."
+        " known of a region, a gateway, a rectangle or a moment of the drive. The path is drawn to"
+        f" within {100 * PATH_TOLERANCE:.0f} cm; the ellipses of the keyframes (in the legend) hold"
+        " the position with a probability of 95 % and are drawn larger by the factor named there."
     )
     return _section("Map", f'<div id="rg-map"></div><p class="quiet">{note}</p>')
 
@@ -193,6 +201,16 @@ def _region_section(rg_map: RGMap) -> str:
     ]
     header = ["region", "#area (m²)", "#accuracy (cm)", "#completeness (%)", "#line segments"]
     return _section("Regions", _table([*header, "#objects", "gateways"], rows))
+
+
+def _rectangle_section(rg_map: RGMap) -> str:
+    if not rg_map.frames and not rg_map.rectangles:
+        return ""  # a run without stereo
+    table = _table(RECTANGLE_HEAD, rectangle_rows(largest_first(rg_map.rectangles)))
+    if rg_map.cuboids:
+        head = ["box", *(f"#{side} ± σ (cm)" for side in ("x", "y", "z")), "faces"]
+        table += f"<h3>Boxes</h3>{_table(head, cuboid_rows(rg_map.cuboids))}"
+    return _section("Rectangles", table)
 
 
 def _loop_section(rg_map: RGMap) -> str:

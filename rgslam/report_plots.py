@@ -17,6 +17,7 @@ import numpy as np
 from rgslam.map_files import world_covariances
 from rgslam.map_style import (
     GATEWAY_COLOURS,
+    RECTANGLE_COLOUR,
     class_name,
     darker,
     gateway_name,
@@ -25,6 +26,7 @@ from rgslam.map_style import (
     region_name,
     simplify_path,
 )
+from rgslam.rectangle_words import rectangle_hover
 from rgslam.types import EdgeKind, FloatArray, Gateway, GatewayClass, OccupancyGrid, Region
 
 if TYPE_CHECKING:
@@ -50,6 +52,7 @@ def map_figure(rg_map: RGMap) -> Figure:
         *_region_traces(rg_map),
         _path_line(rg_map),
         _path_dots(rg_map),
+        _rectangle_trace(rg_map),
         *_gateway_traces(rg_map),
         *_label_traces(rg_map),
         _loop_trace(rg_map),
@@ -122,6 +125,22 @@ def region_hover(region: Region) -> str:
         f"completeness {'unknown' if completeness is None else f'{100 * completeness:.0f} %'}",
     ]
     return "<br>".join(lines)
+
+
+def _rectangle_trace(rg_map: RGMap) -> Figure | None:
+    """Outlines from above: what hangs on a wall is a line."""
+    if not rg_map.rectangles:
+        return None
+    outlines = [np.vstack([r.corners, r.corners[:1]])[:, :2] for r in rg_map.rectangles]
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": "rectangles",
+        **_polylines(outlines),
+        "line": {"color": RECTANGLE_COLOUR, "width": 3.5},
+        "hoverinfo": "text",
+        "text": [text for r in rg_map.rectangles for text in [rectangle_hover(r)] * 6][:-1],
+    }
 
 
 def _gateway_traces(rg_map: RGMap) -> list[Figure]:

@@ -26,6 +26,7 @@ from rgslam.types import (
     LineSegment,
     OccupancyGrid,
     PoseEdge,
+    Rectangle,
     Region,
     RegionClass,
     Trajectory,
@@ -86,6 +87,19 @@ def circle_trajectory(n: int = 50, radius: float = 3.0, rate: float = 10.0) -> T
 
 
 # --- A small office map ---------------------------------------------------------------------------
+
+
+def upright_rectangle(
+    number: int, label: str, size: tuple[float, float], sigmas: tuple[float, float]
+) -> Rectangle:
+    """A rectangle in the plane y = 0 with its lower left corner in the origin, seen five times."""
+    width, height = size
+    corners = np.array([[0, 0, 0], [width, 0, 0], [width, 0, height], [0, 0, height]], float)
+    covariance = np.diag([*[1e-4] * 6, *np.square(sigmas)])
+    return Rectangle(
+        number, label, 0.9, None, np.eye(4), np.array(size), covariance, corners,
+        np.zeros((4, 3, 3)), 5, 0.0, 1.0,
+    )  # fmt: skip
 
 
 def office_map(

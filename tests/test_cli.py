@@ -12,12 +12,13 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 from carmen_logs import flaser, write_log
-from helpers import two_room_world
+from helpers import office_map, two_room_world, upright_rectangle
 from rich.console import Console
 
 from rgslam import __version__
@@ -224,6 +225,19 @@ def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = simulate(World.built_in("office"), seed=1, duration=30.0, stereo=False)
     write_carmen(run, folder / "recording.clf")
     return folder
+
+
+def test_the_summary_tells_the_largest_rectangles_with_their_sigmas() -> None:
+    from rgslam.cli_output import print_map_summary
+
+    boards = [upright_rectangle(k, "[b]", (1.0 + k / 10, 1.0), (0.004, 0.002)) for k in range(12)]
+    written = io.StringIO()
+    console = Console(width=100, file=written)
+    print_map_summary(replace(office_map(), rectangles=tuple(boards)), console)
+    text = re.sub(r"[│┃\s]+", " ", written.getvalue())
+    assert "Rectangles, the 10 largest of 12" in text
+    assert "11 [b] 210.0 ± 0.4 100.0 ± 0.2 5" in text
+    assert text.index("11 [b]") < text.index("2 [b] 120.0") and "1 [b] 110.0" not in text[-400:]
 
 
 def test_map_then_evaluate_then_segment(tmp_path: Path, short_run: Path) -> None:

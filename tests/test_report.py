@@ -11,7 +11,7 @@ import re
 import numpy as np
 import pytest
 import shapely
-from helpers import empty_map, office_map
+from helpers import empty_map, office_map, upright_rectangle
 from plotly.offline import get_plotlyjs
 
 from rgslam.report import render_report
@@ -23,6 +23,7 @@ from rgslam.report_plots import (
     width_sigma,
 )
 from rgslam.rg_map import RGMap
+from rgslam.types import Cuboid
 
 NASTY = '<script>alert(1)</script> & "quotes" </SCRIPT><!-- {{7*7}}.log'
 
@@ -112,6 +113,26 @@ def test_tables_have_a_line_per_gateway_and_region(page: str) -> None:
     assert "G2 narrow passage R1 – R3 90.0 ± 2.8 2" in text  # sqrt(4 + 4) cm
     assert "R1 hallway 24.0 1.2 96 4 0 G1, G2, G3" in text
     assert "R4 room 19.0 1.2 96 4 1 G3" in text
+
+
+def test_rectangles_are_listed_largest_first_with_their_sigmas(rg_map: RGMap) -> None:
+    door = upright_rectangle(4, "door", (1.01, 2.1), (0.003, 0.012))
+    poster = upright_rectangle(0, NASTY, (0.6, 0.84), (0.001, 0.002))
+    box = Cuboid(2, "cabinet", np.eye(4), np.array([0.8, 0.4, 1.2]),
+                 np.diag([1.0] * 6 + [1e-4, 4e-4, 9e-4]), (4, 0))  # fmt: skip
+    full = dataclasses.replace(rg_map, rectangles=(poster, door), cuboids=(box,))
+    text = text_of(render_report(full))
+    assert text.index("4 door 101.0 ± 0.3 210.0 ± 1.2 5") < text.index("60.0 ± 0.1 84.0 ± 0.2 5")
+    assert "2 cabinet 80.0 ± 1.0 40.0 ± 2.0 120.0 ± 3.0 4, 0" in text
+    (drawn,) = traces(full, "rectangles")
+    assert len(drawn["x"]) == len(drawn["text"]) == 2 * 6 - 1
+    assert "101.0 ± 0.3 × 210.0 ± 1.2 cm" in drawn["text"][-1]
+    assert "<script>" not in "".join(drawn["text"])
+
+
+def test_a_map_without_stereo_tells_nothing_of_rectangles(rg_map: RGMap, page: str) -> None:
+    assert "ectangles" not in re.sub(r"a rectangle or", "", text_of(page))
+    assert traces(rg_map, "rectangles") == []
 
 
 def test_loops_are_counted_by_verdict_and_reason(page: str, rg_map: RGMap) -> None:
