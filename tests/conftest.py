@@ -29,6 +29,16 @@ def rgslam_data() -> Path:
 
 
 @pytest.fixture(scope="session")
+def short_demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a short demo; whoever writes to it takes a copy."""
+    from rgslam.demo import run_demo
+
+    folder = tmp_path_factory.mktemp("short") / "demo"
+    run_demo(folder, duration=40.0, stereo_rate=0.1)
+    return folder
+
+
+@pytest.fixture(scope="session")
 def project_root() -> Path:
     """Root folder of the checkout."""
     return PROJECT

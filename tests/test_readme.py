@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bz2
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,22 +14,20 @@ from pathlib import Path
 import pytest
 
 import rgslam
-from rgslam.demo import run_demo
 from rgslam.export_carmen import write_carmen
+from rgslam.loaders import open_recording
 from rgslam.rg_map import MAP_FILES
-from rgslam.simulation import World, simulate
 
 README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
 PYTHON_BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
 @pytest.fixture(scope="module")
-def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def workplace(tmp_path_factory: pytest.TempPathFactory, short_demo: Path) -> Path:
     """A folder with the map of a short demo, and its recording under the README's name."""
     folder = tmp_path_factory.mktemp("readme")
-    run_demo(folder / "out" / "demo", duration=40.0, stereo_rate=0.1)
-    run = simulate(World.built_in("office"), seed=1, duration=40.0, stereo=False)
-    write_carmen(run, folder / "run.clf")
+    shutil.copytree(short_demo, folder / "out" / "demo")
+    write_carmen(open_recording(short_demo / "recording.mcap"), folder / "run.clf")
     (folder / "run.clf.bz2").write_bytes(bz2.compress((folder / "run.clf").read_bytes()))
     return folder
 
