@@ -34,6 +34,7 @@ _ALIKE_PX = 2.0  # along a side: bilinear interpolation shares pixels
 _ROUNDING = 1.0 / math.sqrt(12.0)  # grey values
 _GAIN = 2.0  # a frame explains so many times the misfit of one step with as many parameters
 _SIGMAS = 5.0  # by which each of the sixteen steps stands out of the noise and the misfit
+_NUDGE = 1e-5  # px, and of the blur's spread: for derivatives
 _PASSES = 12  # of the fit; it needs about eight
 
 
@@ -167,9 +168,20 @@ def _fit(profiles: _Profiles, start: float) -> tuple[FloatArray, FloatArray] | N
 
     bounds = np.r_[8.0, np.full(8, _INSIDE), 3.0]
     lowest = np.r_[0.0, -bounds[1:]]
-    found = least_squares(
-        residuals, np.r_[start / unit, np.zeros(9)], bounds=(lowest, bounds), max_nfev=_PASSES
-    )
+
+    def slopes(x: FloatArray) -> FloatArray:
+        """Of the residuals; an offset moves those of its own side only, so all eight at once."""
+        here, result = residuals(x), np.zeros((8 * len(_OFFSETS) + 1, 10))
+        result[:, 0] = (residuals(x + _NUDGE * np.eye(10)[0]) - here) / _NUDGE
+        result[:, 9] = (residuals(x + _NUDGE * np.eye(10)[9]) - here) / _NUDGE
+        moved = residuals(x + _NUDGE * np.r_[0.0, np.ones(8), 0.0]) - here
+        for side in range(8):
+            own = slice(side * len(_OFFSETS), (side + 1) * len(_OFFSETS))
+            result[own, 1 + side] = moved[own] / _NUDGE
+        return result
+
+    first = np.r_[start / unit, np.zeros(9)]
+    found = least_squares(residuals, first, jac=slopes, bounds=(lowest, bounds), max_nfev=_PASSES)
     width, offset = found.x[0] * unit, found.x[1:9]
     blur = _BLUR * math.exp(_BLUR_SPREAD * found.x[9])
     _, steps, covariance = _solved(profiles, width, blur, offset)
