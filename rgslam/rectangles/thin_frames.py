@@ -144,11 +144,14 @@ def _solved(
 
 
 def _start(profiles: _Profiles) -> float | None:
-    """Rough width, m, where a frame explains the profiles better than a single edge."""
+    """Rough width, m, where a line explains the profiles better than a single edge."""
     widths = np.array(_STARTS_PX) / profiles.mean_scale.mean()
     misfits = [_misfit(profiles, float(width)) for width in widths]
     best = int(np.argmin(misfits))
-    return float(widths[best]) if _misfit(profiles, None) > _GAIN * misfits[best] else None
+    width = float(widths[best])
+    steps = _solved(profiles, width, _BLUR, np.zeros(8))[1][:, 2:]
+    a_line = bool((steps[:, 0] * steps[:, 1] < 0.0).all())
+    return width if a_line and _misfit(profiles, None) > _GAIN * misfits[best] else None
 
 
 def _misfit(profiles: _Profiles, width: float | None) -> float:
