@@ -8,6 +8,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -214,16 +215,14 @@ def test_progress_shows_stage_rate_and_count() -> None:
 
 
 @pytest.fixture(scope="module")
-def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def short_run(tmp_path_factory: pytest.TempPathFactory, short_demo: Path) -> Path:
     """Folder of a demo that ends early: a map, `truth.json`, and `recording.clf` beside them."""
-    from rgslam.demo import run_demo
     from rgslam.export_carmen import write_carmen
-    from rgslam.simulation import World, simulate
+    from rgslam.loaders import open_recording
 
     folder = tmp_path_factory.mktemp("cli") / "demo"
-    run_demo(folder, duration=30.0, stereo_rate=0.1)
-    run = simulate(World.built_in("office"), seed=1, duration=30.0, stereo=False)
-    write_carmen(run, folder / "recording.clf")
+    shutil.copytree(short_demo, folder)
+    write_carmen(open_recording(folder / "recording.mcap"), folder / "recording.clf")
     return folder
 
 

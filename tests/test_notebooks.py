@@ -10,16 +10,7 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
-from rgslam.demo import run_demo
-
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
-
-
-@pytest.fixture(scope="module")
-def demo_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("notebooks") / "demo"
-    _, evaluation = run_demo(folder, duration=40.0, stereo_rate=0.1)
-    return Path(evaluation.folder)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -33,8 +24,8 @@ def test_notebooks_are_short_and_stripped(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebooks_run(path: Path, demo_map: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RGSLAM_MAP", str(demo_map))
+def test_notebooks_run(path: Path, short_demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RGSLAM_MAP", str(short_demo))
     monkeypatch.setenv("PYTHONPATH", str(path.parents[1]))  # also where rgslam is not installed
     notebook = nbformat.read(path, as_version=4)
     client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": path.parent}})
