@@ -97,6 +97,10 @@ class JointGraph:
         graph.push_back(self._shapes)
         return graph
 
+    def add(self, factor: gtsam.NonlinearFactor) -> None:
+        """Any other factor on the variables of the graph."""
+        self._measured.add(factor)
+
     # --- Poses -------------------------------------------------------------------------------
 
     def fix(self, key: int) -> None:
