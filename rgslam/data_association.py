@@ -24,6 +24,7 @@ from scipy.stats import chi2
 from rgslam.camera import StereoCamera
 from rgslam.config import DataAssociationConfig
 from rgslam.factor_graph.stereo_corners import StereoCorners
+from rgslam.geometry import planar_matrix
 from rgslam.rectangles.least_squares import SIDE
 from rgslam.rectangles.maximum_likelihood import corner_jacobians
 from rgslam.types import FloatArray
@@ -341,12 +342,3 @@ def overlap(one: RectangleState, other: RectangleState) -> float:
     own = (0.5 * SIDE * one.size).astype(np.float32)
     common = cv2.intersectConvexConvex(own, local[:, :2].astype(np.float32))[0]
     return float(common / (np.prod(one.size) + np.prod(other.size) - common))
-
-
-def planar_matrix(wTb: FloatArray) -> FloatArray:
-    """A planar pose (3,) as a matrix (4, 4)."""
-    c, s = np.cos(wTb[2]), np.sin(wTb[2])
-    matrix = np.eye(4)
-    matrix[:2, :2] = [[c, -s], [s, c]]
-    matrix[:2, 3] = wTb[:2]
-    return matrix

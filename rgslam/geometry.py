@@ -105,3 +105,12 @@ def adjoints(aTb: FloatArray) -> FloatArray:
     maps[:, 0, 2], maps[:, 1, 2] = aTb[:, 1], -aTb[:, 0]
     maps[:, 2, 2] = 1.0
     return maps
+
+
+def planar_matrix(wTb: FloatArray) -> FloatArray:
+    """A planar pose (3,) as a matrix (4, 4)."""
+    c, s = np.cos(wTb[2]), np.sin(wTb[2])
+    matrix = np.eye(4)
+    matrix[:2, :2] = [[c, -s], [s, c]]
+    matrix[:2, 3] = wTb[:2]
+    return matrix

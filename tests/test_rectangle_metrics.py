@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from stereo_scenes import CAMERA
 
 from rgslam.errors import EvaluationError
+from rgslam.geometry import planar_matrix
 from rgslam.metrics.rectangles import (
     anchored_alignment,
     corners_of,
@@ -19,7 +20,6 @@ from rgslam.metrics.rectangles import (
     image_pairs,
     landmark_errors,
     observation_errors,
-    spatial,
     tangent_error,
     turned_like,
 )
@@ -58,7 +58,7 @@ def px_of(cTr: FloatArray, size: FloatArray) -> FloatArray:
 def truth_of(wTb: FloatArray, whole: bool = True) -> Truth:
     frames = []
     for k, pose in enumerate(wTb):
-        wTc = spatial(pose) @ bTc
+        wTc = planar_matrix(pose) @ bTc
         sights = [
             TruthSight(r.name, px_of(np.linalg.inv(wTc) @ r.wTr, r.size), whole, 1.0)
             for r in BOARDS
@@ -117,7 +117,7 @@ def observed(truth: Truth, seed: int = 0, found: tuple[int, ...] = (0,)) -> list
     rng = np.random.default_rng(seed)
     frames = []
     for frame in truth.frames:
-        wTc = spatial(frame.wTb) @ bTc
+        wTc = planar_matrix(frame.wTb) @ bTc
         rectangles = []
         for k in found:
             cTr = np.linalg.inv(wTc) @ BOARDS[k].wTr
@@ -207,7 +207,7 @@ def test_landmarks_are_scored_in_the_frame_of_the_truth() -> None:
     wanted = expected_rectangles(truth)
     assert wanted.tolist() == [True, False, False]
     tTw = np.array([2.0, -1.0, 0.7])
-    wTt = np.linalg.inv(spatial(tTw))
+    wTt = np.linalg.inv(planar_matrix(tTw))
     rng = np.random.default_rng(4)
     found = [perturbed(wTt @ r.wTr, r.size, rng.normal(0, SIGMAS)) for r in BOARDS[:2]]
     turned_away = wTt @ BOARDS[2].wTr @ np.diag([-1.0, 1.0, -1.0, 1.0])
@@ -227,5 +227,5 @@ def test_landmarks_are_scored_in_the_frame_of_the_truth() -> None:
 
 def test_anchor() -> None:
     first_wTb, first_tTb = np.array([1.0, 2.0, 0.3]), np.array([-1.0, 0.5, 2.0])
-    tTw = spatial(anchored_alignment(first_wTb, first_tTb))
-    np.testing.assert_allclose(tTw @ spatial(first_wTb), spatial(first_tTb), atol=1e-12)
+    tTw = planar_matrix(anchored_alignment(first_wTb, first_tTb))
+    np.testing.assert_allclose(tTw @ planar_matrix(first_wTb), planar_matrix(first_tTb), atol=1e-12)

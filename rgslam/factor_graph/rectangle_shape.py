@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
+from rgslam.rectangles.least_squares import SIDE
 from rgslam.types import FloatArray
 
 
@@ -66,8 +67,7 @@ def plane_errors(
 def nearest_rectangle(corners: FloatArray) -> FloatArray:
     """Corners (4, 3) of a rectangle as near as can be to four points in order around."""
     axes, size = rectangle_axes(corners)
-    side = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    return corners.mean(axis=0) + (0.5 * side * size) @ axes[:, :2].T
+    return corners.mean(axis=0) + (0.5 * SIDE * size) @ axes[:, :2].T
 
 
 def rectangle_axes(corners: FloatArray) -> tuple[FloatArray, FloatArray]:

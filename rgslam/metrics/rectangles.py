@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgslam.errors import EvaluationError
-from rgslam.geometry import compose, inverse
+from rgslam.geometry import compose, inverse, planar_matrix
 from rgslam.metrics.against_truth import best_pairs
 from rgslam.metrics.consistency import Nees, nees
 from rgslam.metrics.relations import STAMP_TOLERANCE
@@ -124,15 +124,6 @@ def matrix_of(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     return pose
 
 
-def spatial(aTb: FloatArray) -> FloatArray:
-    """Planar pose (3,) as (4, 4)."""
-    x, y, theta = aTb
-    pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]]
-    pose[:2, 3] = x, y
-    return pose
-
-
 # --- Observations of single frames ----------------------------------------------------------------
 
 
@@ -192,7 +183,7 @@ def _sight(
     if not np.isfinite(sight.corners_px).all():
         return None
     true = known[sight.rectangle]
-    cTr = np.asarray(np.linalg.solve(spatial(frame.wTb) @ bTc, true.wTr), float)
+    cTr = np.asarray(np.linalg.solve(planar_matrix(frame.wTb) @ bTc, true.wTr), float)
     distance, angle_deg = _view(cTr)
     sides = np.linalg.norm(sight.corners_px - np.roll(sight.corners_px, -1, axis=0), axis=1)
     named = sight.whole and true.label != WALL
@@ -335,7 +326,7 @@ def landmark_errors(
         anchored_tTw: (3,), the same by the first keyframe alone, where the map is certain by
             definition: what the covariances are about. None: as `tTw`.
     """
-    found = [spatial(tTw) @ landmark.wTr for landmark in landmarks]
+    found = [planar_matrix(tTw) @ landmark.wTr for landmark in landmarks]
     gain = np.zeros((len(landmarks), len(true)))
     for i, tTr in enumerate(found):
         for j, rectangle in enumerate(true):
@@ -347,7 +338,7 @@ def landmark_errors(
     pairs = best_pairs(gain)
     has = np.isin(np.arange(len(true)), pairs[:, 1])
     corner_error = [_corner_errors(found[i], landmarks[i].size, true[j]) for i, j in pairs.tolist()]
-    anchored = spatial(tTw if anchored_tTw is None else anchored_tTw)
+    anchored = planar_matrix(tTw if anchored_tTw is None else anchored_tTw)
     errors = [_landmark_error(anchored, landmarks[i], true[j]) for i, j in pairs.tolist()]
     return LandmarkErrors(
         pairs=pairs,

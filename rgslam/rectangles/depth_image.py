@@ -16,6 +16,7 @@ from rgslam.errors import CalibrationError
 from rgslam.rectangles.detection import (
     DetectedRectangle,
     Detection,
+    estimated,
     from_lower_left,
     of_rectangular_shape,
 )
@@ -226,17 +227,11 @@ def _rectangle(
     index: int, quads: Quadrangles, estimates: RectangleEstimates, probability: FloatArray
 ) -> DetectedRectangle:
     return DetectedRectangle(
-        rotation=estimates.rotations[index],
-        translation=estimates.translations[index],
-        size=estimates.sizes[index],
-        covariance=estimates.covariances[index],
-        corners=estimates.corners[index],
-        corner_covariances=estimates.corner_covariances[index],
+        **estimated(estimates, index),
         left_px=quads.corners[index],
         left_covariance=quads.covariances[index],
         right_px=np.full((4, 2), np.nan),
         right_covariance=np.full((8, 8), np.nan),
-        cost=float(estimates.costs[index]),
         probability=float(probability[index]),
         support=quads.support[index],
     )

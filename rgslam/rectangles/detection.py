@@ -266,7 +266,7 @@ def _with_frame(
         return found
     return replace(
         found,
-        **_estimated(fitted, 0),
+        **estimated(fitted, 0),
         left_px=border.corners[0],
         left_covariance=left_covariance,
         right_px=border.corners[1],
@@ -282,7 +282,7 @@ def _rectangle(
     probability: FloatArray,
 ) -> DetectedRectangle:
     return DetectedRectangle(
-        **_estimated(estimates, index),
+        **estimated(estimates, index),
         left_px=quads.corners[index],
         left_covariance=quads.covariances[index],
         right_px=measured.corners[index],
@@ -292,7 +292,8 @@ def _rectangle(
     )
 
 
-def _estimated(estimates: RectangleEstimates, index: int) -> dict[str, Any]:
+def estimated(estimates: RectangleEstimates, index: int) -> dict[str, Any]:
+    """The fields of a `DetectedRectangle` that a fit gives, of rectangle `index`."""
     one = RectangleEstimates(
         *(getattr(estimates, name)[index : index + 1] for name in _ESTIMATE_FIELDS)
     )

@@ -12,8 +12,9 @@ import numpy as np
 
 from rgslam.camera import StereoCamera
 from rgslam.errors import WorldError
+from rgslam.geometry import planar_matrix
 from rgslam.observations import FrameObservations
-from rgslam.rectangles.detection import DetectedRectangle
+from rgslam.rectangles.detection import DetectedRectangle, estimated
 from rgslam.rectangles.maximum_likelihood import CornerMeasurements, fit_rectangles
 from rgslam.truth import Truth, TruthFrame
 from rgslam.types import FloatArray
@@ -53,10 +54,7 @@ def _observe(
 ) -> FrameObservations:
     bTc = np.asarray(truth.bTc)
     corners = {rectangle.name: rectangle.corners for rectangle in truth.rectangles}
-    c, s = np.cos(frame.wTb[2]), np.sin(frame.wTb[2])
-    wTb = np.eye(4)
-    wTb[:2, :2], wTb[:2, 3] = [[c, -s], [s, c]], frame.wTb[:2]
-    cTw = np.linalg.inv(wTb @ bTc)
+    cTw = np.linalg.inv(planar_matrix(frame.wTb) @ bTc)
     left, right = [], []
     for sight in frame.sights:
         c_corners = corners[sight.rectangle] @ cTw[:3, :3].T + cTw[:3, 3]
@@ -85,17 +83,11 @@ def fitted_rectangles(
     )
     return tuple(
         DetectedRectangle(
-            rotation=fit.rotations[k],
-            translation=fit.translations[k],
-            size=fit.sizes[k],
-            covariance=fit.covariances[k],
-            corners=fit.corners[k],
-            corner_covariances=fit.corner_covariances[k],
+            **estimated(fit, int(k)),
             left_px=left[k],
             left_covariance=noise[k],
             right_px=right[k],
             right_covariance=noise[k],
-            cost=float(fit.costs[k]),
             probability=0.95,
             support=np.ones(4),
         )
