@@ -3,14 +3,14 @@
 """One graph of poses and rectangles: every sight of a rectangle sharpens it, and the poses too.
 
 Variables: keyframes `X(k)` and stereo frames `F(f)` are `gtsam.Pose3` of the robot base; corner i
-of rectangle l is a point of the world `C(i, l)`; its plane `P(l)` is relative to an anchor pose.
+of rectangle l is a point of the world, and its own frame a `gtsam.Pose3` (`rectangle_shape`).
 
 Poses are spatial although the robot drives on a floor: GTSAM's stereo and local plane factors take
 them, a hand-held camera needs them, and the floor is then an assumption with a sigma of its own.
 The cost was measured (tests/benchmarks/test_factor_graph_speed.py): 5,000 poses with 200 loops take
 1.1 to 1.2 times as long as planar ones.
 
-All observations are built-in factors; Python is called once per rectangle (`rectangle_shape`).
+All factors are built-in ones.
 Gauge: the first keyframe is the origin of the world frame.
 """
 
@@ -20,28 +20,21 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import gtsam
-import gtsam_unstable
 import numpy as np
 
 from rgslam.camera import StereoCamera
 from rgslam.config import FactorGraphConfig
-from rgslam.factor_graph.rectangle_shape import (
-    corners_on_plane_factor,
-    nearest_rectangle,
-    shape_factor,
-)
+from rgslam.factor_graph.rectangle_shape import RectangleKeys, shape_factors, shape_values
 from rgslam.factor_graph.stereo_corners import StereoCorners
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
 _GAUGE_SIGMA = 1e-6  # m, rad
 #: A direction nothing is known of: sigma in m or rad, small enough for double precision.
 _UNKNOWN = 1e3
-#: m, what four corners may be off a rectangle: what no carpenter sees. While the estimate is
-#: still far off, a hundred times as much: a stiff constraint that is not linear takes short steps.
-_SHAPE_SIGMA, _SOFT_SHAPE_SIGMA = 5e-4, 5e-2
 #: Where x, y and theta of a planar pose stand among the six of a spatial one (rotation first).
 _PLANAR = np.array([3, 4, 2])
 _OFF_FLOOR = np.array([0, 1, 5])  # roll, pitch, height
+_OF_PLANE = np.array([0, 1, 5])  # in the frame of a rectangle: what moves its plane
 
 
 def keyframe_key(k: int) -> int:
@@ -55,13 +48,8 @@ def frame_key(f: int) -> int:
 
 
 def corner_keys(l: int) -> list[int]:  # noqa: E741
-    """C(0..3, l), corners of rectangle l."""
-    return [int(gtsam.symbol(name, l)) for name in "abcd"]
-
-
-def plane_key(l: int) -> int:  # noqa: E741
-    """P(l), plane of rectangle l in its anchor's frame."""
-    return int(gtsam.symbol("p", l))
+    """Corners of rectangle l."""
+    return list(RectangleKeys.of(l).corners)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +66,7 @@ class JointGraph:
     def __init__(self, config: FactorGraphConfig) -> None:
         """An empty graph."""
         self.config = config
-        self._measured = gtsam.NonlinearFactorGraph()
-        self._shapes = gtsam.NonlinearFactorGraph()
-        self._soft_shapes = gtsam.NonlinearFactorGraph()
-        self._rectangles: list[int] = []
+        self.factors = gtsam.NonlinearFactorGraph()
         self.initial = gtsam.Values()
         self._cameras: dict[tuple[StereoCamera, bytes], tuple[gtsam.Cal3_S2Stereo, gtsam.Pose3]]
         self._cameras = {}
@@ -90,23 +75,12 @@ class JointGraph:
         sigmas = np.array([tilt, tilt, _UNKNOWN, _UNKNOWN, _UNKNOWN, height])
         self._floor = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
 
-    @property
-    def factors(self) -> gtsam.NonlinearFactorGraph:
-        """Everything: what was measured, and the shapes."""
-        graph = gtsam.NonlinearFactorGraph(self._measured)
-        graph.push_back(self._shapes)
-        return graph
-
-    def add(self, factor: gtsam.NonlinearFactor) -> None:
-        """Any other factor on the variables of the graph."""
-        self._measured.add(factor)
-
     # --- Poses -------------------------------------------------------------------------------
 
     def fix(self, key: int) -> None:
         """Make a pose the origin of the gauge: it stays where it starts."""
         noise = gtsam.noiseModel.Isotropic.Sigma(6, _GAUGE_SIGMA)
-        self._measured.add(gtsam.PriorFactorPose3(key, self.initial.atPose3(key), noise))
+        self.factors.add(gtsam.PriorFactorPose3(key, self.initial.atPose3(key), noise))
 
     def add_pose(self, key: int, wTb: gtsam.Pose3, on_floor: bool = True) -> None:
         """A pose variable with its start.
@@ -120,7 +94,7 @@ class JointGraph:
         self.initial.insert(key, wTb)
         if on_floor:
             level = spatial(planar(wTb))
-            self._measured.add(gtsam.PriorFactorPose3(key, level, self._floor))
+            self.factors.add(gtsam.PriorFactorPose3(key, level, self._floor))
 
     def add_between(
         self, i: int, j: int, iTj: gtsam.Pose3, covariance: FloatArray, robust: bool = False
@@ -129,7 +103,7 @@ class JointGraph:
         noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
         if robust:
             noise = gtsam.noiseModel.Robust.Create(self._loop_kernel, noise)
-        self._measured.add(gtsam.BetweenFactorPose3(i, j, iTj, noise))
+        self.factors.add(gtsam.BetweenFactorPose3(i, j, iTj, noise))
 
     def add_edges(self, edges: Iterable[PoseEdge]) -> list[int]:
         """Planar relative poses between keyframes; loops get a robust kernel.
@@ -139,7 +113,7 @@ class JointGraph:
         """
         places = []
         for edge in edges:
-            places.append(self._measured.size())
+            places.append(self.factors.size())
             self.add_planar(
                 keyframe_key(edge.i),
                 keyframe_key(edge.j),
@@ -165,12 +139,9 @@ class JointGraph:
 
     def add_rectangle(self, number: int, corners: FloatArray) -> None:
         """Four corner variables, started at (4, 3), that are held to a rectangle."""
-        keys = corner_keys(number)
-        for key, corner in zip(keys, corners, strict=True):
-            self.initial.insert(key, gtsam.Point3(*corner))
-        self._shapes.add(shape_factor(keys, _SHAPE_SIGMA))
-        self._soft_shapes.add(shape_factor(keys, _SOFT_SHAPE_SIGMA))
-        self._rectangles.append(number)
+        keys = RectangleKeys.of(number)
+        self.initial.insert(shape_values(keys, corners))
+        self.factors.push_back(shape_factors(keys))
 
     def add_sight(
         self,
@@ -185,46 +156,30 @@ class JointGraph:
         for i, key in enumerate(corner_keys(number)):
             noise = gtsam.noiseModel.Gaussian.Covariance(corners.covariances[i])
             point = gtsam.StereoPoint2(*corners.measured[i])
-            self._measured.add(
+            self.factors.add(
                 gtsam.GenericStereoFactor3D(point, noise, pose_key, key, calibration, mount)
             )
 
-    def add_plane(self, number: int, anchor: int, plane: gtsam.OrientedPlane3) -> None:
-        """A variable for the plane of a rectangle, in an anchor's frame, that its corners lie on.
-
-        Needed where something else than its corners tells of the plane (`add_plane_sight`).
-        """
-        self.initial.insert(plane_key(number), plane)
-        self._measured.add(
-            corners_on_plane_factor(anchor, plane_key(number), corner_keys(number), _SHAPE_SIGMA)
-        )
-
     def add_plane_sight(
-        self,
-        pose_key: int,
-        anchor: int,
-        number: int,
-        plane: gtsam.OrientedPlane3,
-        covariance: FloatArray,
+        self, pose_key: int, number: int, bTr: gtsam.Pose3, covariance: FloatArray
     ) -> None:
         """The plane of a rectangle as seen from a pose, by other means than its corners.
 
         Args:
             pose_key: who saw it.
-            anchor: the pose in whose frame the plane's variable is.
             number: of the rectangle.
-            plane: as seen, in the frame of the pose.
-            covariance: (3, 3), of the two tangent directions of the normal and the distance.
+            bTr: its frame as believed, turned and shifted so that it lies on the plane that was
+                seen; where it lies in the plane tells nothing.
+            covariance: (3, 3), of its turns about its x and y (rad) and its shift along z (m).
         """
+        full = _UNKNOWN**2 * np.eye(6)
+        full[np.ix_(_OF_PLANE, _OF_PLANE)] = covariance
         noise = gtsam.noiseModel.Robust.Create(
             gtsam.noiseModel.mEstimator.Huber.Create(1.345),
-            gtsam.noiseModel.Gaussian.Covariance(covariance),
+            gtsam.noiseModel.Gaussian.Covariance(full),
         )
-        self._measured.add(
-            gtsam_unstable.LocalOrientedPlane3Factor(
-                plane, noise, pose_key, anchor, plane_key(number)
-            )
-        )
+        frame = RectangleKeys.of(number).frame
+        self.factors.add(gtsam.BetweenFactorPose3(pose_key, frame, bTr, noise))
 
     def _camera(
         self, camera: StereoCamera, bTc: FloatArray
@@ -241,32 +196,15 @@ class JointGraph:
     def optimise(self, start: gtsam.Values | None = None, tolerance: float = 1e-6) -> gtsam.Values:
         """The most likely values, by Powell's dog leg.
 
-        First with soft shapes, then from the rectangles nearest to what that found. (Levenberg and
-        Marquardt's damping was measured to take 5 times as many steps along the stiff shapes.)
-
         Args:
             start: where from; None: where the variables were started.
             tolerance: relative change of the error at which to stop.
         """
+        parameters = gtsam.DoglegParams()
+        parameters.setRelativeErrorTol(tolerance)
+        parameters.setMaxIterations(50)
         values = self.initial if start is None else start
-        soft = gtsam.NonlinearFactorGraph(self._measured)
-        soft.push_back(self._soft_shapes)
-        values = _minimise(soft, values, 1e-3)
-        for number in self._rectangles:
-            keys = corner_keys(number)
-            bent = np.array([values.atPoint3(key) for key in keys])
-            for key, corner in zip(keys, nearest_rectangle(bent), strict=True):
-                values.update(key, gtsam.Point3(*corner))
-        return _minimise(self.factors, values, tolerance)
-
-
-def _minimise(
-    graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, tolerance: float
-) -> gtsam.Values:
-    parameters = gtsam.DoglegParams()
-    parameters.setRelativeErrorTol(tolerance)
-    parameters.setMaxIterations(50)
-    return gtsam.DoglegOptimizer(graph, start, parameters).optimize()
+        return gtsam.DoglegOptimizer(self.factors, values, parameters).optimize()
 
 
 class JointMarginals:

@@ -77,7 +77,7 @@ def joint_graph(run: BigRun, per_observation: bool = False) -> JointGraph:
             graph.add_sight(frame_key(k), number, StereoCorners(pixels, noise), CAMERA, BTC)
             continue
         for corner, key in enumerate(corner_keys(number)):
-            graph.add(python_factor(frame_key(k), key, pixels[corner]))
+            graph.factors.add(python_factor(frame_key(k), key, pixels[corner]))
     return graph
 
 
@@ -118,7 +118,7 @@ def python_factor(pose_key: int, corner_key: int, measured: FloatArray) -> gtsam
 
 
 def test_batch(benchmark, run: BigRun) -> None:
-    """Building the graph and Levenberg-Marquardt; at most 20 s are asked."""
+    """Building the graph and Powell's dog leg; at most 20 s are asked."""
     benchmark.group = "back end, 5,000 poses"
     values = benchmark.pedantic(lambda: joint_graph(run).optimise(), rounds=1)
     # Half of chi-square: 12 measurements a sight and 3 an edge, less what is estimated
