@@ -149,8 +149,10 @@ class RegionConfig(StageConfig):
 
     # m, longest side of a free-standing obstacle that divides nothing: chair, bin, leg, person.
     largest_object: float = Field(0.8, ge=0.0)
-    # m, the same of what is thicker than walls are: a meeting table
-    largest_furniture: float = Field(2.5, ge=0.0)
+    # m, the same of what is thicker than walls are: a meeting table or a counter
+    largest_furniture: float = Field(4.0, ge=0.0)
+    # m, its shorter side: arms reach the middle from both sides. What is more is built around.
+    deepest_furniture: float = Field(1.6, ge=0.0)
     narrowest: float = Field(0.2, ge=0.0)  # m, a slit nobody and no robot fits through
     least_radius: float = Field(0.35, gt=0.0)  # m, inscribed circle: a place a person can stand in
     least_area: float = Field(

@@ -41,6 +41,10 @@ class Passages:
     ends: FloatArray  # (n, 2, 2), x, y in cells
     is_neck: BoolArray  # (n,), narrower than both sides; else the mouth of a hallway
 
+    def without(self, dropped: BoolArray) -> Passages:
+        """The lines but those that are dropped (n,)."""
+        return Passages(self.ends[~dropped], self.is_neck[~dropped])
+
 
 @nb.njit(cache=True)
 def draw_wall(free: BoolArray, x0: float, y0: float, x1: float, y1: float) -> None:

@@ -4,17 +4,52 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from rgslam.config import GatewayConfig, RegionConfig
+from rgslam.types import FloatArray
+
 BoolArray = npt.NDArray[np.bool_]
+LabelArray = npt.NDArray[np.int32]
 
 # Share of its smallest rectangle that furniture covers; angled pieces of wall cover less.
 _COMPACT = 0.6
 
 
-def fill_islands(free: BoolArray, largest: float, furniture: float, thickest: float) -> BoolArray:
+@dataclass(frozen=True)
+class Island:
+    """Something that stands in the free space and touches neither its outer walls nor the margin."""
+
+    label: int
+    cells: int
+    longest: int  # cells, longer side of its bounding box
+    length: float  # cells, longer side of its smallest rectangle, between the cells' centres
+    depth: float  # cells, shorter side of the same
+
+
+def find_islands(free: BoolArray) -> tuple[LabelArray, list[Island]]:
+    """What is not free in pieces (H, W), 0 = free, and those of them that stand alone."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        (~free).astype(np.uint8), connectivity=8, ltype=cv2.CV_32S
+    )
+    height, width = free.shape
+    islands = []
+    for i, (x, y, w, h, cells) in enumerate(stats.tolist()):
+        if i == 0 or x == 0 or y == 0 or x + w == width or y + h == height:
+            continue
+        points = np.argwhere(labels[y : y + h, x : x + w] == i).astype(np.float32)
+        _, sides, _ = cv2.minAreaRect(points)
+        islands.append(Island(i, cells, max(w, h), max(sides), min(sides)))
+    return np.asarray(labels, np.int32), islands
+
+
+def fill_islands(
+    free: BoolArray, resolution: float, regions: RegionConfig, thickest: float
+) -> BoolArray:
     """Free space with its free-standing obstacles filled in: legs, bins, people, noise, tables.
 
     What is small divides nothing, whatever it is. What is larger may be a piece of wall between
@@ -22,31 +57,75 @@ def fill_islands(free: BoolArray, largest: float, furniture: float, thickest: fl
 
     Args:
         free: (H, W).
-        largest: longest side of the bounding box of a small obstacle, cells.
-        furniture: the same of a piece of furniture, cells.
-        thickest: thickest wall, cells.
+        resolution: m per cell.
+        regions: how large obstacles and furniture are.
+        thickest: thickest wall, m.
     """
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(
-        (~free).astype(np.uint8), connectivity=8, ltype=cv2.CV_32S
-    )
-    height, width = free.shape
-    x, y, w, h = stats[:, :4].T
-    inside = (x > 0) & (y > 0) & (x + w < width) & (y + h < height)
-    inside[0] = False  # label 0 is the free space itself
-    longest = np.maximum(w, h)
-    filled = inside & (longest <= largest)
-    for i in np.flatnonzero(inside & ~filled & (longest <= furniture)).tolist():
-        cells = labels[y[i] : y[i] + h[i], x[i] : x[i] + w[i]] == i
-        filled[i] = _is_furniture(cells, thickest)
-    return np.asarray(free | filled[labels], bool)
+    labels, islands = find_islands(free)
+    filled = [
+        island.label
+        for island in islands
+        if island.longest * resolution <= regions.largest_object
+        or (
+            island.length * resolution <= regions.largest_furniture
+            and thickest < island.depth * resolution <= regions.deepest_furniture
+            # A cell more for the cells' own size, another for the raster
+            and island.cells >= _COMPACT * (island.length + 1.0) * (island.depth + 1.0)
+        )
+    ]
+    return free | np.isin(labels, filled)
 
 
-def _is_furniture(cells: BoolArray, thickest: float) -> bool:
-    """Whether an obstacle is thicker than a wall, and compact."""
-    points = np.argwhere(cells).astype(np.float32)
-    _, (a, b), _ = cv2.minAreaRect(points)
-    # Of the cells' centres: a cell more for their own size, another for the raster
-    return min(a, b) > thickest and len(points) >= _COMPACT * (a + 1.0) * (b + 1.0)
+def open_screens(
+    free: BoolArray, lines: FloatArray, resolution: float, config: GatewayConfig
+) -> tuple[BoolArray, BoolArray]:
+    """Screens: thin islands that leave most of the way past them open, and the lines that end there.
+
+    A piece of wall between passages closes more of the line across the space than they leave open;
+    or it stands between doors; or it is one of the piers of a straight row. A screen or a display
+    wall in a room does none of that: it stands in a region and divides none.
+
+    Args:
+        free: (H, W).
+        lines: (m, 2, 2), ends x, y in cells, of the passages.
+        resolution: m per cell.
+        config: what doors, walls and narrow ways are.
+
+    Returns:
+        The cells (H, W) of such islands, and which lines (m,) end on one.
+    """
+    labels, islands = find_islands(free)
+    across = lines[:, 1] - lines[:, 0]
+    lengths = np.linalg.norm(across, axis=1)
+    at_ends = [_labels_beside(labels, line) for line in lines]
+    screens: list[int] = []
+    ends_on_one = np.zeros(len(lines), bool)
+    for island in islands:
+        own = np.array([island.label in found for found in at_ends], bool)
+        if not own.any() or island.depth * resolution > config.thickest_wall:
+            continue
+        way = float(lengths[own].sum())
+        mostly_open = way > config.mean_narrowing * (way + island.length)
+        has_door = bool((lengths[own] * resolution <= config.door_leaf).any())
+        if mostly_open and not has_door and not _parallel(across[own], config.alignment_deg):
+            screens.append(island.label)
+            ends_on_one |= own
+    return np.isin(labels, screens), ends_on_one
+
+
+def _parallel(directions: FloatArray, tolerance_deg: float) -> bool:
+    """Whether vectors (n, 2) lie along one direction, forwards or backwards."""
+    units = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    return bool((np.abs(units @ units.T) >= np.cos(np.radians(tolerance_deg))).all())
+
+
+def _labels_beside(labels: LabelArray, ends: FloatArray) -> set[int]:
+    """Labels of what is not free within two cells of the ends (2, 2) of a line, x, y in cells."""
+    found: set[int] = set()
+    for col, row in np.floor(ends).astype(int).tolist():
+        near = labels[max(row - 2, 0) : row + 3, max(col - 2, 0) : col + 3]
+        found.update(near[near > 0].tolist())
+    return found
 
 
 def drop_slits(free: BoolArray, narrowest: float) -> BoolArray:

@@ -16,7 +16,7 @@ from rgslam.gateways.passages import clearance_of, draw_wall, select_passages
 from rgslam.gateways.posts import refine_posts
 from rgslam.gateways.virtual_lines import find_virtual_lines
 from rgslam.outlines import trace_outlines
-from rgslam.regions.free_space import drop_slits, fill_islands
+from rgslam.regions.free_space import drop_slits, fill_islands, open_screens
 from rgslam.types import FloatArray, GatewayClass, IntArray
 
 BoolArray = npt.NDArray[np.bool_]
@@ -183,10 +183,7 @@ def partition_free_space(
         config: the sections `gateways` and `regions`.
     """
     gateways = config.gateways
-    filled = fill_islands(
-        free, config.regions.largest_object / resolution,
-        config.regions.largest_furniture / resolution, gateways.thickest_wall / resolution,
-    )  # fmt: skip
+    filled = fill_islands(free, resolution, config.regions, gateways.thickest_wall)
     space = drop_slits(filled, config.regions.narrowest / resolution)
     outlines = trace_outlines(space, max(1.0, _WALL_NOISE / resolution))
     wall_near = near_wall(is_wall, resolution)
@@ -195,6 +192,9 @@ def partition_free_space(
         np.radians(gateways.post_turn_deg), wall_near,
     )  # fmt: skip
     passages = select_passages(space, lines, resolution, gateways)
+    screens, past_screen = open_screens(space, passages.ends, resolution, gateways)
+    passages = passages.without(past_screen)
+    filled, space = filled | screens, space | screens
     refined = [refine_posts(space, e, gateways.thickest_wall / resolution) for e in passages.ends]
     posts = np.array([r.points for r in refined]).reshape(-1, 2, 2)
     scatter = np.array([r.scatter for r in refined]).reshape(-1, 2, 2)
