@@ -71,3 +71,10 @@ def test_doors_beside_a_junction_are_no_corners() -> None:
     found = segment_grid(raster([MAIN, NORTH, *rooms, *doors], 0.05), junctions=True)
     labels = sorted(g.label.value for g in found.gateways)
     assert labels == ["narrow_passage", "narrow_passage", "t_junction"]
+
+
+def test_furniture_beside_a_bend_is_no_second_bend() -> None:
+    box = shapely.box(6.8, 0.7, 7.3, 1.0)  # against the wall of the inner corner
+    found = segment_grid(raster([shapely.union(MAIN, LEG) - box], 0.05), junctions=True)
+    assert [g.label for g in found.gateways] == [L]
+    np.testing.assert_allclose(sorted(found.gateways[0].points[:, 0]), [8.0, 10.0], atol=0.1)

@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from rgslam import segment_grid
 from rgslam.config import Config, RegionConfig
 from rgslam.errors import MapError
+from rgslam.gateways.passages import Passages
 from rgslam.geometry import inverse, transform_points
 from rgslam.outlines import signed_area, trace_outlines
+from rgslam.regions.free_space import open_screens
 from rgslam.types import OccupancyGrid, RegionClass
 
 
@@ -117,6 +119,36 @@ def test_chairs_and_tables_divide_nothing():
     assert len(found.gateways) == 6
     assert sum(len(r.objects_2d) for r in found.regions) > 36  # some of the 72 touch each other
     assert (found.labels[occupancy < 0.5] > 0).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5])
+def test_a_counter_divides_no_room_but_a_row_of_piers_does(angle):
+    room = shapely.Polygon([(5, 0), (12, 2.5), (9.5, 9), (2.5, 4.33)])
+    counter = shapely.affinity.rotate(shapely.box(6.4, 4.2, 9.4, 5.0), 25)
+    assert len(segment_grid(raster([room - counter], 0.05, angle)).regions) == 1
+    hall = shapely.box(0, 0, 10, 8) - shapely.box(0, 3.9, 1, 4.3) - shapely.box(9, 3.9, 10, 4.3)
+    piers = shapely.union_all([shapely.box(x, 3.9, x + 1, 4.3) for x in (3.0, 6.0)])
+    assert len(segment_grid(raster([hall - piers], 0.05, angle)).regions) == 2
+
+
+@pytest.mark.parametrize(
+    ("ends", "is_screen"),
+    [
+        ([[(1, 3), (3, 4)], [(5.4, 4), (8, 3)]], True),  # two wide ways past it, askew
+        ([[(1, 4), (3, 4)], [(5.4, 4), (8, 4)]], False),  # in one line: a pier
+        ([[(2, 3.5), (3, 4)], [(5.4, 4), (8, 3)]], False),  # a door beside it
+        ([[(1.6, 3.5), (3, 4)]], False),  # closes more than it leaves open
+        ([[(1, 1), (8, 1)]], False),  # not at its ends
+    ],
+)
+def test_a_screen_is_told_by_the_ways_past_it(ends, is_screen):
+    room = shapely.box(0, 0, 9, 8) - shapely.box(3, 3.9, 5.4, 4.1)
+    grid = raster([room], 0.05)
+    lines = (np.array(ends, float) - grid.origin) / 0.05
+    passages = Passages(lines, np.ones(len(lines), bool))
+    cells, past = open_screens(grid.occupancy < 0.5, passages, 0.05, Config().gateways)
+    assert past.tolist() == [is_screen] * len(ends)
+    assert cells.sum() * 0.05**2 == pytest.approx(2.4 * 0.2 if is_screen else 0.0, abs=0.05)
 
 
 def test_leaks_and_views_into_the_unknown_make_no_rooms():

@@ -82,6 +82,25 @@ def test_posts_stand_where_beams_ended(angle: float, mirror: bool) -> None:
     assert np.mean(np.square(np.divide(errors, stated))) < 4.0
 
 
+def test_posts_of_a_bend_are_corners_of_its_walls() -> None:
+    space = moved(shapely.box(-12, -1, 10, 1) | shapely.box(8, 1, 10, 9), 0.4, False)
+    grid = eroded(raster([space], 0.05))
+    rng = np.random.default_rng(4)
+    stops = [(x, 0.1) for x in np.arange(-11, 9, 0.8)] + [(9, y) for y in np.arange(0.5, 8, 0.8)]
+    places = [moved(shapely.Point(p), 0.4, False) for p in stops]
+    poses = np.array([[p.x, p.y, 0.2 * k] for k, p in enumerate(places)])
+    hits = hits_of([scan_in(space, pose, 721, SIGMA, rng) for pose in poses], poses)
+    rough = segment_grid(grid, junctions=True)
+    (gateway,) = fit_to_scans(rough, hits, grid.resolution, Config()).gateways
+    corners = [moved(shapely.Point(p), 0.4, False) for p in ((8, 1), (10, -1))]
+    true = np.array([[c.x, c.y] for c in corners])
+    true = min(true, true[::-1], key=lambda t: np.abs(t - gateway.points).sum())
+    error = (gateway.points - true).ravel()
+    assert np.abs(rough.gateways[0].points - true).max() > 0.03
+    assert np.abs(error).max() < 0.01
+    assert error @ np.linalg.solve(gateway.covariance, error) < 18.5  # 99.9 % of chi2 with 4
+
+
 def test_lines_lie_on_the_walls_and_not_on_cells() -> None:
     cells, hits, _, grid = run_through(0.4)
     found = fit_to_scans(cells, hits, grid.resolution, Config())

@@ -76,10 +76,14 @@ def find_junctions(
         if _is_mouth(left, mouth.ends) is not None:  # no other one has closed it since
             draw_wall(left, *mouth.ends.ravel())
             found.append(Junction(mouth.ends, mouth.label))
-    for ends in _bends(left, outlines, width):
+    turned: list[FloatArray] = []
+    for ends in sorted(_bends(left, outlines, width), key=lambda e: np.linalg.norm(e[1] - e[0])):
         a = _nearest(ends[0], exact.points, 2.0 * recess)
-        if is_free_segment(left, *a, *ends[1]):
+        # Furniture beside a bend has corners too: the way turns once round each outer corner
+        once = all(np.linalg.norm(ends[1] - outer) > 0.5 * width for outer in turned)
+        if once and is_free_segment(left, *a, *ends[1]):
             draw_wall(left, *a, *ends[1])
+            turned.append(ends[1])
             found.append(Junction(np.stack([a, ends[1]]), GatewayClass.L_JUNCTION))
     return found
 

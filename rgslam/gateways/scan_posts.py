@@ -10,17 +10,22 @@ what is counted as independent.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rgslam.scan_hits import Hits
-from rgslam.types import FloatArray, Gateway, IntArray, Mask
+from rgslam.types import FloatArray, Gateway, IntArray, LineSegment, Mask
 
 # How far from a post its wall is looked at: as wide as a frame and its trim, m.
 _BESIDE = 0.4
+# Two walls make a corner when they differ by more than this, rad.
+_LEAST_TURN = np.radians(30.0)
 # A post of the grid is off by a cell for its wall, one for its simplified outline, m / cell.
 _REACH = 2.5
+# The outer corner of a bend is drawn from the inner one, over the width of the hallway, m / cell.
+_CORNER_REACH = 4.0
 _ROUNDS = 3
 # Scans so far apart in number belong to different passes of the robot.
 _PASS_GAP = 10
@@ -182,7 +187,70 @@ def _median(values: FloatArray, scans: IntArray) -> _Place | None:
         return None
     middle = float(np.median(values))
     sigma = 1.4826 * float(np.median(np.abs(values - middle)))
-    order = np.unique(scans)
-    passes = 1 + int(np.count_nonzero(np.diff(order) > _PASS_GAP))
     # The median of many values of one pass is as good as their pose: its error is what they share
-    return _Place(middle, max(sigma, 1e-3) ** 2 / passes, sigma)
+    return _Place(middle, max(sigma, 1e-3) ** 2 / count_passes(scans), sigma)
+
+
+def count_passes(scans: IntArray) -> int:
+    """How often the robot came by, from the numbers of the scans that saw a place."""
+    return 1 + int(np.count_nonzero(np.diff(np.unique(scans)) > _PASS_GAP))
+
+
+# --- Posts that are corners of walls --------------------------------------------------------------
+
+
+def refine_corners(
+    gateway: Gateway, lines: Sequence[LineSegment], hits: Hits, resolution: float
+) -> Gateway:
+    """The gateway with its posts where fitted walls meet; a post where none do stays.
+
+    Args:
+        gateway: from the grid: where hallways meet, or one opens into a wider space.
+        lines: of the two regions, fitted to scans.
+        hits: of all scans.
+        resolution: of the grid, m per cell.
+    """
+    points, covariance = gateway.points.copy(), gateway.covariance.copy()
+    for k in range(2):
+        corner = _corner(gateway.points[k], lines, _CORNER_REACH * resolution)
+        if corner is None:
+            continue
+        seen = hits.near(gateway.points[k], gateway.points[k], _BESIDE)
+        part = slice(2 * k, 2 * k + 2)
+        points[k] = corner[0]
+        covariance[part, part] = corner[1] / count_passes(seen.scans)
+    return _with_posts(gateway, points, covariance)
+
+
+def _corner(
+    post: FloatArray, lines: Sequence[LineSegment], reach: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Nearest place to a post where two lines that end there meet, and its covariance (2, 2)."""
+    best: tuple[FloatArray, FloatArray] | None = None
+    near = [line for line in lines if _end_distance(line, post) <= _BESIDE]
+    for i, one in enumerate(near):
+        for other in near[:i]:
+            pair = (one, other)
+            normals = np.stack([_normal(line) for line in pair])
+            if abs(np.linalg.det(normals)) < np.sin(_LEAST_TURN):
+                continue
+            inverse = np.linalg.inv(normals)
+            starts = np.stack([line.endpoints[0] for line in pair])
+            place = inverse @ (normals * starts).sum(axis=1)
+            if _gap(place, post) <= reach:
+                variances = np.diag([line.sigma**2 for line in pair])
+                best, reach = (place, inverse @ variances @ inverse.T), _gap(place, post)
+    return best
+
+
+def _gap(a: FloatArray, b: FloatArray) -> float:
+    return float(np.hypot(*(a - b)))
+
+
+def _end_distance(line: LineSegment, point: FloatArray) -> float:
+    return min(_gap(end, point) for end in line.endpoints)
+
+
+def _normal(line: LineSegment) -> FloatArray:
+    dx, dy = line.endpoints[1] - line.endpoints[0]
+    return np.array([-dy, dx]) / np.hypot(dx, dy)

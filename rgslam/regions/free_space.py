@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgslam.config import GatewayConfig, RegionConfig
+from rgslam.gateways.passages import Passages
 from rgslam.types import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
@@ -22,7 +23,7 @@ _COMPACT = 0.6
 
 @dataclass(frozen=True)
 class Island:
-    """Something that stands in the free space and touches neither its outer walls nor the margin."""
+    """Something that stands alone in the free space."""
 
     label: int
     cells: int
@@ -77,29 +78,30 @@ def fill_islands(
 
 
 def open_screens(
-    free: BoolArray, lines: FloatArray, resolution: float, config: GatewayConfig
+    free: BoolArray, passages: Passages, resolution: float, config: GatewayConfig
 ) -> tuple[BoolArray, BoolArray]:
-    """Screens: thin islands that leave most of the way past them open, and the lines that end there.
+    """Screens: thin islands that leave most of the way past them open, and lines that end there.
 
     A piece of wall between passages closes more of the line across the space than they leave open;
-    or it stands between doors; or it is one of the piers of a straight row. A screen or a display
-    wall in a room does none of that: it stands in a region and divides none.
+    or it stands between doors; or it is a pier, and the passages beside it lie in one straight
+    line. A screen or a display wall in a room does none of that: it stands in a region and divides
+    none.
 
     Args:
         free: (H, W).
-        lines: (m, 2, 2), ends x, y in cells, of the passages.
+        passages: n of them.
         resolution: m per cell.
         config: what doors, walls and narrow ways are.
 
     Returns:
-        The cells (H, W) of such islands, and which lines (m,) end on one.
+        The cells (H, W) of such islands, and which passages (n,) end on one.
     """
     labels, islands = find_islands(free)
-    across = lines[:, 1] - lines[:, 0]
+    across = passages.ends[:, 1] - passages.ends[:, 0]
     lengths = np.linalg.norm(across, axis=1)
-    at_ends = [_labels_beside(labels, line) for line in lines]
+    at_ends = [_labels_beside(labels, line) for line in passages.ends]
     screens: list[int] = []
-    ends_on_one = np.zeros(len(lines), bool)
+    ends_on_one = np.zeros(len(lengths), bool)
     for island in islands:
         own = np.array([island.label in found for found in at_ends], bool)
         if not own.any() or island.depth * resolution > config.thickest_wall:

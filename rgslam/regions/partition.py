@@ -192,7 +192,7 @@ def partition_free_space(
         np.radians(gateways.post_turn_deg), wall_near,
     )  # fmt: skip
     passages = select_passages(space, lines, resolution, gateways)
-    screens, past_screen = open_screens(space, passages.ends, resolution, gateways)
+    screens, past_screen = open_screens(space, passages, resolution, gateways)
     passages = passages.without(past_screen)
     filled, space = filled | screens, space | screens
     refined = [refine_posts(space, e, gateways.thickest_wall / resolution) for e in passages.ends]

@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from rgslam.config import Config
-from rgslam.gateways.scan_posts import refine_gateway
+from rgslam.gateways.scan_posts import refine_corners, refine_gateway
 from rgslam.scan_hits import Hits
-from rgslam.types import FloatArray, GatewayClass, LineSegment, Mask, Region, Segmentation
+from rgslam.types import FloatArray, Gateway, GatewayClass, LineSegment, Mask, Region, Segmentation
 
 # Beams of one scan on one wall share the error of its pose: a wall needs several scans.
 _LEAST_SCANS = 3
@@ -38,17 +38,19 @@ def fit_to_scans(
         resolution: of the grid, m per cell.
         config: the section `gateways`.
     """
-    thickest = config.gateways.thickest_wall
+    regions = {r.id: refit_region(r, hits, resolution) for r in segmentation.regions}
+
+    def refined(gateway: Gateway) -> Gateway:
+        if gateway.label is GatewayClass.NARROW_PASSAGE:
+            return refine_gateway(gateway, hits, resolution, config.gateways.thickest_wall)
+        a, b = gateway.regions
+        lines = regions[a].line_segments + regions[b].line_segments
+        return refine_corners(gateway, lines, hits, resolution)
+
     return replace(
         segmentation,
-        regions=tuple(refit_region(r, hits, resolution) for r in segmentation.regions),
-        gateways=tuple(
-            # The posts of a bend are two corners, not the ends of walls on either side
-            g
-            if g.label is GatewayClass.L_JUNCTION
-            else refine_gateway(g, hits, resolution, thickest)
-            for g in segmentation.gateways
-        ),
+        regions=tuple(regions.values()),
+        gateways=tuple(refined(gateway) for gateway in segmentation.gateways),
     )
 
 
