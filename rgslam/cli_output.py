@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import (
@@ -23,10 +24,12 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from rgslam.metrics import Evaluation
 from rgslam.rectangle_words import RECTANGLE_HEAD, largest_first, rectangle_rows
 from rgslam.rg_map import RGMap
 from rgslam.types import Rectangle
+
+if TYPE_CHECKING:
+    from rgslam.metrics import Evaluation
 
 # A terminal shows no more than that, and stages report thousands of times a second.
 _REFRESH_SECONDS = 0.1

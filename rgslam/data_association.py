@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from rgslam.camera import StereoCamera
 from rgslam.config import DataAssociationConfig
@@ -105,7 +105,7 @@ class DataAssociation:
         self.config = config
         self.tracks: list[Track] = []
         self.counts: Counter[str] = Counter()
-        self._gate = float(chi2.ppf(config.gate_probability, _MEASURED))
+        self._gate = float(chdtri(_MEASURED, 1.0 - config.gate_probability))
 
     def add_frame(
         self, pose: FramePose, sights: Sequence[Sight], relative: FloatArray
@@ -197,8 +197,8 @@ class DataAssociation:
             if candidate.sight in chosen or candidate.track in taken:
                 continue
             trial = [*chosen.values(), candidate]
-            if joint_distance(trial) > chi2.ppf(
-                self.config.gate_probability, _MEASURED * len(trial)
+            if joint_distance(trial) > chdtri(
+                _MEASURED * len(trial), 1.0 - self.config.gate_probability
             ):
                 continue
             alone = joint_distance(list(chosen.values())) if chosen else 0.0

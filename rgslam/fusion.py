@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from rgslam.config import Config
 from rgslam.data_association import (
@@ -251,7 +251,7 @@ def _consistent(
     counts: Counter[str],
 ) -> list[Track]:
     """Tracks without the sights that do not fit, the landmarks with too few left, and twins."""
-    gate = float(chi2.ppf(config.data_association.gate_probability, _MEASURED))
+    gate = float(chdtri(_MEASURED, 1.0 - config.data_association.gate_probability))
     kept: list[Track] = []
     for number, track in enumerate(tracks):
         corners = np.array([values.atPoint3(key) for key in corner_keys(number)])

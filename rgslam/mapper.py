@@ -10,31 +10,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rgslam import __version__
 from rgslam.config import Config
-from rgslam.data_association import RectangleState
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
 from rgslam.frame_placing import HORIZON, FramePlacer, ScanPlace
-from rgslam.fusion import Fusion, fuse_landmarks
 from rgslam.gateways import detect_crossings
 from rgslam.geometry import adjoint, between, compose, inverse
-from rgslam.landmarks import describe_landmarks
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
 from rgslam.observations import FrameObservations, PlacedFrame, RunMessage, observe_frame
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
-from rgslam.online_fusion import OnlineFusion
 from rgslam.regions import fit_to_scans, segment_grid
 from rgslam.rg_map import RGMap, RunInfo
 from rgslam.scan_hits import hits_of
 from rgslam.scan_matching import SURFACE, LaserGeometry, ScanPoints, ScanStore, scan_points
 from rgslam.stage_clock import StageClock
 from rgslam.types import (
+    Cuboid,
     EdgeKind,
     FloatArray,
     Gateway,
@@ -43,9 +41,15 @@ from rgslam.types import (
     Odometry,
     PoseEdge,
     ProgressCallback,
+    Rectangle,
     StereoPair,
     Trajectory,
 )
+
+if TYPE_CHECKING:  # loaded when there are images: most runs have none
+    from rgslam.data_association import RectangleState
+    from rgslam.fusion import Fusion
+    from rgslam.online_fusion import OnlineFusion
 
 #: What a step without any motion may still be off: the wheels stand, the robot may be pushed or a
 #: stamp be late. 1 cm and 0.3 degrees.
@@ -340,6 +344,8 @@ class Mapper:
         Asked again, only what came since is added: cheap at any time of the run. `map` knows a
         little more, as it looks at all sights again.
         """
+        from rgslam.online_fusion import OnlineFusion
+
         if self._online is None:
             self._online = OnlineFusion(self.config)
         self._online.update(self._poses, self._graph.edges, self._frames.placed)
@@ -383,6 +389,8 @@ class Mapper:
         fusion: Fusion | None = None
         seen = any(frame.observations.rectangles for frame in frames)
         if seen and self.config.data_association.enabled:
+            from rgslam.fusion import fuse_landmarks
+
             with self.clock.stage("fusion"):
                 tell("fusion", 0, 1)
                 fusion = fuse_landmarks(self._poses, self._graph.edges, frames, self.config)
@@ -402,11 +410,14 @@ class Mapper:
             segmentation = fit_to_scans(segmentation, hits, grid.resolution, self.config)
             gateways = detect_crossings(segmentation.gateways, trajectory)
             tell("regions and gateways", 1, 1)
-        rectangles, cuboids = (
-            describe_landmarks(fusion, segmentation.regions, self.config.landmarks)
-            if fusion is not None
-            else ((), ())
-        )
+        rectangles: tuple[Rectangle, ...] = ()
+        cuboids: tuple[Cuboid, ...] = ()
+        if fusion is not None:
+            from rgslam.landmarks import describe_landmarks
+
+            rectangles, cuboids = describe_landmarks(
+                fusion, segmentation.regions, self.config.landmarks
+            )
         return RGMap(
             regions=segmentation.regions,
             gateways=gateways,

@@ -17,17 +17,18 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rgslam.camera import StereoCamera
 from rgslam.errors import CalibrationError, MapError
 from rgslam.observations import FrameObservations, PlacedFrame
-from rgslam.rectangles.detection import DetectedRectangle
-from rgslam.rectangles.maximum_likelihood import corner_jacobians
 from rgslam.rectangles.rejection import Rejection
 from rgslam.types import FloatArray
+
+if TYPE_CHECKING:
+    from rgslam.rectangles.detection import DetectedRectangle
 
 FORMAT = "rgslam/observations"
 VERSION = 1
@@ -140,6 +141,10 @@ def _frame_of(entry: dict[str, Any], cameras: list[StereoCamera]) -> PlacedFrame
 
 
 def _rectangle_of(entry: dict[str, Any]) -> DetectedRectangle:
+    # Here, as a run without images needs none of it
+    from rgslam.rectangles.detection import DetectedRectangle
+    from rgslam.rectangles.maximum_likelihood import corner_jacobians
+
     rotation, size = _numbers(entry["rotation"], (3, 3)), _numbers(entry["size"], (2,))
     translation, covariance = _numbers(entry["translation"], (3,)), _full(entry["covariance"], 8)
     slopes = corner_jacobians(rotation[None], size[None])[0]

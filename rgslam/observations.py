@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rgslam.camera import StereoCamera
 from rgslam.config import Config
 from rgslam.geometry import compose
-from rgslam.rectangles.detection import DetectedRectangle, detect_rectangles
-from rgslam.rectangles.rejection import Rejection
 from rgslam.types import FloatArray, Message, StereoPair
+
+if TYPE_CHECKING:
+    from rgslam.rectangles.detection import DetectedRectangle
+    from rgslam.rectangles.rejection import Rejection
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,9 @@ def observe_frame(pair: StereoPair, config: Config | None = None) -> FrameObserv
     Raises:
         CalibrationError: an image is not of the camera's size.
     """
+    # Here, as a run without images needs none of it
+    from rgslam.rectangles.detection import detect_rectangles
+
     found = detect_rectangles(pair.left, pair.right, pair.camera, config, pair.valid)
     return FrameObservations(
         pair.stamp, pair.camera, pair.bTc, found.rectangles, found.rejected, pair.record

@@ -31,7 +31,6 @@ from rgslam.map_files import (
 )
 from rgslam.map_folder import check_replaceable, write_folder
 from rgslam.map_json import decode_rg_map, encode_rg_map
-from rgslam.observation_file import decode_observations, encode_observations
 from rgslam.observations import PlacedFrame
 from rgslam.types import (
     Cuboid,
@@ -166,6 +165,7 @@ class RGMap:
     def _files(self) -> dict[str, bytes]:
         from rgslam.drawing import draw_map
         from rgslam.export import encode_grid
+        from rgslam.observation_file import encode_observations
         from rgslam.report import render_report
 
         image, settings = encode_grid(self.grid, "map.pgm")
@@ -193,6 +193,7 @@ def load_map(folder: Path | str) -> RGMap:
         MapError: no map folder, a file is missing or broken, or two files do not fit each other.
     """
     from rgslam.export import read_grid
+    from rgslam.observation_file import decode_observations
 
     folder = Path(folder)
     if not folder.is_dir():

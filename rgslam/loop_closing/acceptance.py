@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import networkx as nx
 import numpy as np
 
 from rgslam.config import LoopClosingConfig
@@ -53,6 +52,8 @@ def consistent(
 
 def largest_consistent_set(agree: np.ndarray) -> tuple[list[int], int]:
     """Largest clique of a symmetric boolean matrix, and how many another one has of its own."""
+    import networkx as nx  # here, as most runs never come to it
+
     graph = nx.from_numpy_array(np.triu(agree, 1))
     cliques = sorted((sorted(c) for c in nx.find_cliques(graph)), key=lambda c: (-len(c), c))
     if not cliques:
