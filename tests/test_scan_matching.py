@@ -127,10 +127,10 @@ def test_nearest_surfel_of_a_cell_is_the_nearest_of_all() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-1.0, 1.0, (60, 2))
     surfels = build_surfel_map(points, np.zeros((60, 2)), np.zeros(60), np.ones(60, np.uint8), 0.05)
-    rows, cols = np.nonzero(surfels.surfels.nearest >= 0)
+    rows, cols = np.nonzero(surfels.surfels.nearest)
     centres = surfels.surfels.origin + (np.stack([cols, rows], -1) + 0.5) * 0.05
     distances = np.linalg.norm(centres[:, None] - surfels.surfels.points[None], axis=-1)
-    found = distances[np.arange(len(centres)), surfels.surfels.nearest[rows, cols]]
+    found = distances[np.arange(len(centres)), surfels.surfels.nearest[rows, cols] - 1]
     near = distances.min(axis=1) < 0.25  # the five cells that every surfel reaches
     np.testing.assert_allclose(found[near], distances.min(axis=1)[near], atol=1e-6)
     assert near.sum() > 1000

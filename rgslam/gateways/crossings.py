@@ -35,24 +35,27 @@ def _hysteresis(gateway: Gateway) -> float:
 def _crossings_of(gateway: Gateway, stamps: FloatArray, xy: FloatArray) -> tuple[Crossing, ...]:
     normal = gateway.directions[0]
     along = gateway.points[1] - gateway.points[0]
-    # Negative in regions[0], positive in regions[1]; lists are ten times faster one by one
-    side = ((xy - gateway.points[0]) @ normal).tolist()
-    fraction = ((xy - gateway.points[0]) @ along / float(along @ along)).tolist()
+    side = (xy - gateway.points[0]) @ normal  # negative in regions[0], positive in regions[1]
+    fraction = (xy - gateway.points[0]) @ along / float(along @ along)
     band = _hysteresis(gateway)
+    clear, far_side = np.abs(side) >= band, side >= 0.0
+    # A robot that stays clear of the line on its side changes nothing
+    stays = clear[1:] & clear[:-1] & (far_side[1:] == far_side[:-1])
+    moments = np.concatenate([[True], ~stays])[: len(xy)]
     found = []
     state = 0  # side on which the robot was last seen clear of the line
     passed: tuple[float, bool] | None = (
         None  # time of the last change of sign, and whether between the posts
     )
-    for k in range(len(xy)):
-        if k and (side[k - 1] < 0.0) != (side[k] < 0.0):
+    for k in np.flatnonzero(moments).tolist():
+        if k and far_side[k - 1] != far_side[k]:
             f = side[k - 1] / (side[k - 1] - side[k])
             place = fraction[k - 1] + f * (fraction[k] - fraction[k - 1])
             # First change of sign after the robot was clear of the line: later ones are jitter.
             if passed is None:
                 between = 0.0 <= place <= 1.0
                 passed = (float(stamps[k - 1] + f * (stamps[k] - stamps[k - 1])), between)
-        if abs(side[k]) < band:
+        if not clear[k]:
             continue
         now = 1 if side[k] > 0.0 else -1
         if state != 0 and now != state and passed is not None and passed[1]:

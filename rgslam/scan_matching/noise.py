@@ -10,6 +10,7 @@ autocorrelation (Geyer, *Practical Markov chain Monte Carlo*, 1992, for where to
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from rgslam.types import FloatArray
 
@@ -28,18 +29,14 @@ class BeamCorrelation:
     def __init__(self) -> None:
         self._sums = np.zeros(_LAGS + 1)
         self._counts = np.zeros(_LAGS + 1)
+        self.factor = _FIRST  # beams that count as one, at least 1
 
     def add(self, residuals: FloatArray) -> None:
         """Take the residuals (n,) of one scan in beam order, m; NaN where there is none."""
-        known = np.isfinite(residuals)
-        values = np.where(known, residuals, 0.0)
-        for lag in range(min(_LAGS + 1, len(values))):
-            self._sums[lag] += values[lag:] @ values[: len(values) - lag]
-            self._counts[lag] += np.count_nonzero(known[lag:] & known[: len(known) - lag])
+        _add_products(residuals, self._sums, self._counts)
+        self.factor = self._factor()
 
-    @property
-    def factor(self) -> float:
-        """Beams that count as one, at least 1."""
+    def _factor(self) -> float:
         if self._counts[0] < _ENOUGH or not self._sums[0] > 0.0:
             return _FIRST
         enough = self._counts >= _ENOUGH
@@ -47,3 +44,14 @@ class BeamCorrelation:
         correlation = products[1:] / products[0]
         ends = np.flatnonzero(correlation <= 0.0)
         return 1.0 + 2.0 * float(correlation[: ends[0] if len(ends) else None].sum())
+
+
+@njit(cache=True, nogil=True)
+def _add_products(residuals: FloatArray, sums: FloatArray, counts: FloatArray) -> None:
+    """Add the products of residuals each lag apart, and their number, to what there is."""
+    for i in range(len(residuals)):
+        if np.isfinite(residuals[i]):
+            for lag in range(min(len(sums), len(residuals) - i)):
+                if np.isfinite(residuals[i + lag]):
+                    sums[lag] += residuals[i] * residuals[i + lag]
+                    counts[lag] += 1.0

@@ -104,7 +104,7 @@ def _nearest(x: float, y: float, surfels: Surfels, gate: float) -> int:
     row = int(np.floor((y - surfels.origin[1]) / surfels.resolution))
     if row < 0 or row >= rows or col < 0 or col >= cols:
         return -1
-    k = surfels.nearest[row, col]
+    k = surfels.nearest[row, col] - 1
     if k < 0:
         return -1
     ex, ey = x - surfels.points[k, 0], y - surfels.points[k, 1]

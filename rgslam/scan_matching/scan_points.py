@@ -199,9 +199,27 @@ def _points_and_normals(
 
 def thinned(points: FloatArray, cell: float) -> FloatArray:
     """The first point (m, 2) of every cell of side `cell` that holds one of (n, 2)."""
-    cells = np.floor(points / cell).astype(np.int64)
-    _, first = np.unique(cells[:, 0] * (1 << 32) + cells[:, 1], return_index=True)
-    return points[np.sort(first)]
+    return _thinned(np.ascontiguousarray(points), cell)
+
+
+@njit(cache=True, nogil=True)
+def _thinned(points: FloatArray, cell: float) -> FloatArray:
+    slots = 16  # of a hash table, at most half full
+    while slots < 2 * len(points):
+        slots *= 2
+    table = np.full((slots, 2), np.inf)
+    kept = np.empty_like(points)
+    count = 0
+    for i in range(len(points)):
+        x, y = np.floor(points[i, 0] / cell), np.floor(points[i, 1] / cell)
+        slot = (int(x) * 73856093 ^ int(y) * 19349663) & (slots - 1)
+        while table[slot, 0] != np.inf and (table[slot, 0] != x or table[slot, 1] != y):
+            slot = (slot + 1) & (slots - 1)
+        if table[slot, 0] == np.inf:
+            table[slot, 0], table[slot, 1] = x, y
+            kept[count, 0], kept[count, 1] = points[i, 0], points[i, 1]
+            count += 1
+    return kept[:count]
 
 
 @dataclass(eq=False)
@@ -259,24 +277,45 @@ class ScanStore:
             members: (r,), which scans.
             poses: (r, 3), their wTb.
         """
-        c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
-        p, n = self.points[members], self.normals[members]
-        valid = self.classes[members] != INVALID
-        points = [poses[:, 0, None] + c * p[..., 0] - s * p[..., 1],
-                  poses[:, 1, None] + s * p[..., 0] + c * p[..., 1]]  # fmt: skip
-        normals = [c * n[..., 0] - s * n[..., 1], s * n[..., 0] + c * n[..., 1]]
-        return (
-            np.stack([axis[valid] for axis in points], axis=-1),
-            np.stack([axis[valid] for axis in normals], axis=-1),
-            self.normal_variances[members][valid],
-            self.classes[members][valid],
-        )
+        return _placed(
+            np.asarray(members, np.int64), np.ascontiguousarray(poses, float),
+            self.points, self.normals, self.normal_variances, self.classes,
+        )  # fmt: skip
 
     @property
     def polar(self) -> FloatArray:
         """The geometry as kernels take it: angle_min, angle_step, full circle, bTl x, y, theta."""
         g = self.geometry
         return np.array([g.angle_min, g.angle_step, float(g.full_circle), *g.bTl])
+
+
+@njit(cache=True, nogil=True)
+def _placed(
+    members: IntArray,
+    poses: FloatArray,
+    points: FloatArray,
+    normals: FloatArray,
+    variances: FloatArray,
+    classes: npt.NDArray[np.uint8],
+) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.uint8]]:
+    room = len(members) * points.shape[1]
+    w_points, w_normals = np.empty((room, 2)), np.empty((room, 2))
+    w_variances, w_classes = np.empty(room), np.empty(room, np.uint8)
+    count = 0
+    for k in range(len(members)):
+        m = members[k]
+        c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
+        for i in range(points.shape[1]):
+            if classes[m, i] == INVALID:
+                continue
+            x, y = points[m, i, 0], points[m, i, 1]
+            w_points[count, 0] = poses[k, 0] + c * x - s * y
+            w_points[count, 1] = poses[k, 1] + s * x + c * y
+            x, y = normals[m, i, 0], normals[m, i, 1]
+            w_normals[count, 0], w_normals[count, 1] = c * x - s * y, s * x + c * y
+            w_variances[count], w_classes[count] = variances[m, i], classes[m, i]
+            count += 1
+    return w_points[:count], w_normals[:count], w_variances[:count], w_classes[:count]
 
 
 def _doubled(array: npt.NDArray) -> npt.NDArray:  # type: ignore[type-arg]

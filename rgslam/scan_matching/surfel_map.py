@@ -32,7 +32,7 @@ class Surfels(NamedTuple):
     normals: FloatArray  # (s, 2), w, towards the sensor; 0 where unreliable
     normal_variances: FloatArray  # (s,), rad^2
     is_edge: npt.NDArray[np.bool_]  # (s,), whether it stands for an edge
-    nearest: npt.NDArray[np.int32]  # (H, W), index of the nearest surfel, -1 = none within reach
+    nearest: npt.NDArray[np.int32]  # (H, W), number of the nearest surfel from 1, 0 = none near
     resolution: float  # m per cell
     origin: FloatArray  # (2,), outer corner of cell (0, 0), w
 
@@ -46,7 +46,9 @@ class SurfelMap:
     @cached_property
     def fine(self) -> npt.NDArray[np.uint8]:
         """(H, W), likelihood 0..255 of a return in a cell."""
-        return _likelihood(self.surfels)
+        likelihood = np.zeros(self.surfels.nearest.shape, np.uint8)
+        _stamp_likelihood(likelihood, self.surfels, _FADING)
+        return likelihood
 
     @cached_property
     def middle(self) -> npt.NDArray[np.uint8]:
@@ -82,18 +84,32 @@ def build_surfel_map(
     Returns:
         The map; its border of 16 empty cells keeps every bound of the search valid.
     """
-    surfaces = w_points[classes == SURFACE]
-    reach = surfaces if len(surfaces) else w_points
-    low, high = reach.min(axis=0), reach.max(axis=0)
-    inside = ((w_points >= low) & (w_points <= high)).all(axis=1)
-    low = low - BLOCKS[0] * resolution
-    cols, rows = (np.ceil((high - low) / resolution).astype(int) + BLOCKS[0]).tolist()
+    box = _box(w_points, classes)
+    low = box[0] - BLOCKS[0] * resolution
+    cols, rows = (np.ceil((box[1] - low) / resolution).astype(int) + BLOCKS[0]).tolist()
+    # Made here, as NumPy takes pages of zeros from the system and touches none of them
+    owner, nearest = np.zeros((rows, cols), np.int32), np.zeros((rows, cols), np.int32)
     points, normals, variances, is_edge = _merge(
-        w_points[inside], w_normals[inside], normal_variances[inside], classes[inside],
-        low, resolution, rows, cols,
-    )  # fmt: skip
-    nearest = _stamp(points, low, resolution, rows, cols)
+        w_points, w_normals, normal_variances, classes, box, low, resolution, owner
+    )
+    _stamp(nearest, points, low, resolution)
     return SurfelMap(Surfels(points, normals, variances, is_edge, nearest, resolution, low))
+
+
+@njit(cache=True, nogil=True)
+def _box(points: FloatArray, classes: npt.NDArray[np.uint8]) -> FloatArray:
+    """Lower and upper corner (2, 2) of the surfaces, or of all points where none is a surface."""
+    box = np.empty((2, 2))
+    for least in (SURFACE, 0):
+        box[0], box[1] = np.inf, -np.inf
+        for i in range(len(points)):
+            if least == 0 or classes[i] == SURFACE:
+                for k in range(2):
+                    box[0, k] = min(box[0, k], points[i, k])
+                    box[1, k] = max(box[1, k], points[i, k])
+        if box[0, 0] <= box[1, 0]:
+            break
+    return box
 
 
 @njit(cache=True, nogil=True)
@@ -102,18 +118,22 @@ def _merge(
     normals: FloatArray,
     variances: FloatArray,
     classes: npt.NDArray[np.uint8],
+    box: FloatArray,
     low: FloatArray,
     resolution: float,
-    rows: int,
-    cols: int,
+    owner: npt.NDArray[np.int32],
 ) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    owner = np.full((rows, cols), -1, np.int32)
+    """Surfels of the points inside the box; `owner` (H, W) is scratch, all 0."""
     sums = np.zeros((len(points), 8))  # x, y, points, normal x, normal y, variance, normals, edges
     count = 0
     for i in range(len(points)):
+        if not (
+            box[0, 0] <= points[i, 0] <= box[1, 0] and box[0, 1] <= points[i, 1] <= box[1, 1]
+        ):
+            continue
         r = int((points[i, 1] - low[1]) / resolution)
         c = int((points[i, 0] - low[0]) / resolution)
-        k = owner[r, c]
+        k = owner[r, c] - 1
         has_normal = classes[i] == 2
         if k >= 0:
             # Two faces of a thin wall stay two surfels: the newer one owns the cell
@@ -122,7 +142,7 @@ def _merge(
                 k = -1
         if k < 0:
             k = count
-            owner[r, c] = k
+            owner[r, c] = k + 1
             count += 1
         sums[k, 0] += points[i, 0]
         sums[k, 1] += points[i, 1]
@@ -150,10 +170,17 @@ def _merge(
 
 @njit(cache=True, nogil=True)
 def _stamp(
-    points: FloatArray, low: FloatArray, resolution: float, rows: int, cols: int
-) -> npt.NDArray[np.int32]:
-    """Index (H, W) of the surfel nearest to the centre of each cell, -1 = none within reach."""
-    nearest = np.full((rows, cols), -1, np.int32)
+    nearest: npt.NDArray[np.int32], points: FloatArray, low: FloatArray, resolution: float
+) -> None:
+    """Write the number (from 1) of the surfel nearest to the centre of each cell, within reach.
+
+    Args:
+        nearest: (H, W), all 0.
+        points: (s, 2), the surfels.
+        low: (2,), outer corner of cell (0, 0).
+        resolution: m per cell.
+    """
+    rows, cols = nearest.shape
     cells = np.empty_like(points)  # in cells, 0 = the centre of the first one
     for k in range(len(points)):
         x = cells[k, 0] = (points[k, 0] - low[0]) / resolution - 0.5
@@ -161,32 +188,33 @@ def _stamp(
         row, col = int(y + 0.5), int(x + 0.5)
         for r in range(max(row - _REACH, 0), min(row + _REACH + 1, rows)):
             for c in range(max(col - _REACH, 0), min(col + _REACH + 1, cols)):
-                rival = nearest[r, c]
+                rival = nearest[r, c] - 1
                 if rival >= 0:
                     # Computed again, as a grid of distances costs more than it saves
                     dx, dy = c - cells[rival, 0], r - cells[rival, 1]
                     if (c - x) ** 2 + (r - y) ** 2 >= dx * dx + dy * dy:
                         continue
-                nearest[r, c] = k
-    return nearest
+                nearest[r, c] = k + 1
+
+
+#: Likelihood 0..255 by the squared distance in 1/64 cells.
+_FADING = (255.0 * np.exp(-np.arange(64 * 2 * (_REACH + 1) ** 2) / 128.0)).astype(np.uint8)
 
 
 @njit(cache=True, nogil=True)
-def _likelihood(surfels: Surfels) -> npt.NDArray[np.uint8]:
-    nearest, origin = surfels.nearest, surfels.origin
-    rows, cols = nearest.shape
-    table = np.empty(64 * 2 * (_REACH + 1) ** 2, np.uint8)  # of the squared distance in 1/64 cells
-    for k in range(len(table)):
-        table[k] = np.uint8(255.0 * np.exp(-k / 128.0))
-    likelihood = np.zeros((rows, cols), np.uint8)
-    for r in range(rows):
-        for c in range(cols):
-            k = nearest[r, c]
-            if k >= 0:
-                dx = (surfels.points[k, 0] - origin[0]) / surfels.resolution - c - 0.5
-                dy = (surfels.points[k, 1] - origin[1]) / surfels.resolution - r - 0.5
-                likelihood[r, c] = table[int(64.0 * (dx * dx + dy * dy))]
-    return likelihood
+def _stamp_likelihood(
+    likelihood: npt.NDArray[np.uint8], surfels: Surfels, fading: npt.NDArray[np.uint8]
+) -> None:
+    """Write what the nearest surfel gives to each cell (H, W), all 0 before."""
+    rows, cols = likelihood.shape
+    for k in range(len(surfels.points)):
+        x = (surfels.points[k, 0] - surfels.origin[0]) / surfels.resolution - 0.5
+        y = (surfels.points[k, 1] - surfels.origin[1]) / surfels.resolution - 0.5
+        row, col = int(y + 0.5), int(x + 0.5)
+        for r in range(max(row - _REACH, 0), min(row + _REACH + 1, rows)):
+            for c in range(max(col - _REACH, 0), min(col + _REACH + 1, cols)):
+                value = fading[int(64.0 * ((c - x) ** 2 + (r - y) ** 2))]
+                likelihood[r, c] = max(likelihood[r, c], value)
 
 
 def _pool(grid: npt.NDArray[np.uint8], factor: int, stride: int) -> npt.NDArray[np.uint8]:
