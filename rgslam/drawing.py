@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib import patheffects
 from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch
 
 from rgslam.label_placement import LabelPlacer
 from rgslam.map_style import (
@@ -329,10 +329,17 @@ def _draw_regions(ax: Any, regions: Sequence[Region], colours: dict[int, str]) -
     for region in sorted(regions, key=lambda region: (-region.area, region.id)):
         colour = colours[region.id]
         strong = darker(colour)
-        ax.add_patch(Polygon(region.polygon, facecolor=colour, edgecolor="none", zorder=2))
-        for outline in region.objects_2d:
-            # Not filled: an outline may go around free space and other regions.
-            ax.add_patch(Polygon(outline, fill=False, edgecolor=strong, linewidth=1.2, zorder=3.5))
+        ax.add_collection(
+            PolyCollection([region.polygon], facecolors=colour, edgecolors="none", zorder=2),
+            autolim=False,
+        )
+        # Not filled: an outline may go around free space and other regions.
+        ax.add_collection(
+            PolyCollection(
+                region.objects_2d, facecolors="none", edgecolors=strong, linewidths=1.2, zorder=3.5
+            ),
+            autolim=False,
+        )
         segments = [line.endpoints for line in region.line_segments]
         ax.add_collection(
             LineCollection(segments, colors=strong, linewidths=2.2, capstyle="round", zorder=5),
@@ -380,8 +387,15 @@ class _TextMeasure:
 
     def __init__(self, dpi: float = _DPI) -> None:
         self._renderer = RendererAgg(1, 1, dpi)
+        self._known: dict[tuple[str, FontProperties], tuple[float, float]] = {}
 
     def size(self, text: str, font: FontProperties) -> tuple[float, float]:
+        key = (text, font)
+        if key not in self._known:
+            self._known[key] = self._measured(text, font)
+        return self._known[key]
+
+    def _measured(self, text: str, font: FontProperties) -> tuple[float, float]:
         width, height, _ = self._renderer.get_text_width_height_descent(text, font, ismath=False)
         return float(width), float(height)
 

@@ -9,6 +9,7 @@ candidates. Everything is in pixels, y up; a box is a row (x0, y0, x1, y1).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -55,11 +56,12 @@ class LabelPlacer:
         Returns:
             None where no place inside is free.
         """
+        if (np.ptp(outline, axis=0) < size).any():  # most small regions end here
+            return None
         radii = np.linspace(0.0, reach, 40)[1:]
         rings = (radii[:, None, None] * _directions(16)).reshape(-1, 2)
         centres = np.asarray(anchor, float) + np.vstack([np.zeros((1, 2)), rings])
-        polygon = shapely.make_valid(shapely.Polygon(outline))
-        shapely.prepare(polygon)
+        polygon = _area(np.ascontiguousarray(outline, float).tobytes())
         centres = centres[shapely.contains_xy(polygon, centres)]
         boxes = _boxes(centres, size)
         inside = self._on_picture(boxes) & shapely.contains(polygon, shapely.box(*boxes.T))
@@ -123,6 +125,14 @@ class LabelPlacer:
             axis=1
         )
         return areas
+
+
+@lru_cache(maxsize=1)  # asked for one region after the other, with label after label
+def _area(outline: bytes) -> shapely.Geometry:
+    """The area inside an outline (n, 2), given as bytes, quick to be asked."""
+    polygon = shapely.make_valid(shapely.Polygon(np.frombuffer(outline).reshape(-1, 2)))
+    shapely.prepare(polygon)
+    return polygon
 
 
 def _boxes(centres: FloatArray, size: tuple[float, float]) -> FloatArray:
