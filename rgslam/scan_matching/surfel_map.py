@@ -127,9 +127,7 @@ def _merge(
     sums = np.zeros((len(points), 8))  # x, y, points, normal x, normal y, variance, normals, edges
     count = 0
     for i in range(len(points)):
-        if not (
-            box[0, 0] <= points[i, 0] <= box[1, 0] and box[0, 1] <= points[i, 1] <= box[1, 1]
-        ):
+        if not (box[0, 0] <= points[i, 0] <= box[1, 0] and box[0, 1] <= points[i, 1] <= box[1, 1]):
             continue
         r = int((points[i, 1] - low[1]) / resolution)
         c = int((points[i, 0] - low[0]) / resolution)
