@@ -172,7 +172,7 @@ class StereoConfig(StageConfig):
     nearest: float = Field(0.25, gt=0.0)  # m, a robot's bumper keeps things farther off
     # Share of the width; what is shifted by more is hardly in both images.
     max_disparity: float = Field(0.25, gt=0.0, le=1.0)
-    matching_width: int = Field(256, ge=64)  # px, larger images are matched at this width
+    matching_width: int = Field(192, ge=64)  # px, larger images are matched at this width
     uniqueness_percent: int = Field(10, ge=0)  # by which the best match must beat the second
     texture_sigmas: float = Field(3.0, ge=0.0)  # contrast in a window relative to the noise
     sigma_px: float = Field(0.29, gt=0.0)  # px as matched: SGBM may lock to whole ones (12^-0.5)

@@ -10,6 +10,7 @@ import pytest
 
 from rgslam.config import RectangleConfig
 from rgslam.rectangles.gradients import edge_offsets, gradient_image
+from rgslam.rectangles.line_pieces import edge_pieces
 from rgslam.rectangles.line_segments import detect_lines, merge_collinear, refine_lines
 
 CONFIG = RectangleConfig()
@@ -119,3 +120,36 @@ def test_edge_offsets_against_a_plain_loop() -> None:
     assert found.strength[0] == pytest.approx(response.max(axis=1), rel=0.05)
     assert np.abs(found.offset[0] - steps[best]).max() <= 0.3
     assert np.abs(found.offset[0] - 1.0).mean() < 0.2
+
+
+def test_gradient_is_sobels() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (37, 53)).astype(np.uint8)
+    found = gradient_image(image).xy
+    for axis in range(2):
+        by_opencv = cv2.Sobel(image, cv2.CV_32F, 1 - axis, axis, ksize=3, scale=1 / 8)
+        np.testing.assert_array_equal(found[..., axis], by_opencv)
+
+
+@pytest.mark.parametrize("angle", np.arange(0.0, 180.0, 22.5))
+def test_walk_along_an_edge_stays_on_it(angle: float) -> None:
+    (piece,) = edge_pieces(gradient_image(half_plane(angle, 7.0)).xy, 10.0, 30.0)
+    normal = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+    assert np.abs((piece - [129.5, 99.5]) @ normal - 7.0).max() < 0.3
+    assert np.linalg.norm(piece[1] - piece[0]) > 185.0  # the image is 200 px high
+
+
+def test_walk_ends_where_the_edge_bends() -> None:
+    image = np.full((120, 160), 60, np.uint8)
+    cv2.fillConvexPoly(image, np.array([[20, 100], [20, 60], [90, 20], [140, 60]]), 180)
+    found = edge_pieces(gradient_image(cv2.GaussianBlur(image, (0, 0), 0.7)).xy, 10.0, 12.0)
+    lengths = np.linalg.norm(found[:, 1] - found[:, 0], axis=1)
+    true = [40.0, np.hypot(70, 40), np.hypot(50, 40), np.hypot(120, 40)]
+    np.testing.assert_allclose(np.sort(lengths), np.sort(true), atol=5.0)
+
+
+def test_both_edges_of_a_thin_bar_are_walked_along() -> None:
+    image = np.full((60, 80), 60, np.uint8)
+    image[20:24, 10:70] = 180
+    found = edge_pieces(gradient_image(image).xy, 10.0, 20.0)
+    assert len(found) == 2
+    assert np.sort(found[:, :, 1].mean(axis=1)) == pytest.approx([19.5, 23.5], abs=0.6)

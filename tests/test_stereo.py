@@ -199,8 +199,8 @@ def test_wrong_image_size_is_said(tmp_path: Path) -> None:
 
 def textured_pair(disparity: float) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(3)
-    texture = cv2.GaussianBlur(rng.uniform(0, 255, (480, 800)).astype(np.float32), (0, 0), 1.5)
-    texture = 128 + 4 * (texture - 128)
+    texture = cv2.GaussianBlur(rng.uniform(0, 255, (480, 800)).astype(np.float32), (0, 0), 2.5)
+    texture = 128 + 6 * (texture - 128)
     shift = np.array([[1, 0, -disparity], [0, 1, 0]])
     moved = cv2.warpAffine(texture, shift, (800, 480), flags=cv2.INTER_CUBIC)
     return tuple(np.clip(i[:, :640], 0, 255).astype(np.uint8) for i in (texture, moved))

@@ -7,9 +7,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from rgslam.camera import StereoCamera
 from rgslam.rectangles.detection import DetectedRectangle, detect_rectangles
+from rgslam.rectangles.frame_profiles import fit_steps, mean_profiles
 from rgslam.rectangles.thin_frames import OuterBorder, outer_border
 
 FINER = 8  # the drawing is averaged over so many pixels each way
@@ -115,3 +117,38 @@ def test_detection_measures_the_whole_thing() -> None:
     np.testing.assert_allclose(found[0].size, SIZE, atol=0.008)  # the inner edge: 0.03 less
     error = (found[0].left_px - CAMERA.project(board(0.0, 3.0, 15.0))).ravel()
     assert error @ np.linalg.solve(found[0].left_covariance, error) < 20.1  # 1 % of 8 dof
+
+
+def test_compiled_profiles_against_opencv() -> None:
+    image = pair(0.015, 2.5, 20.0, [80.0, 200.0])[0]
+    corners = np.array([[100.3, 300.1], [400.2, 310.7], [390.5, 100.9], [110.8, 90.4]])
+    side = np.roll(corners, -1, axis=0) - corners
+    outward = np.stack([-side[:, 1], side[:, 0]], axis=1) / np.linalg.norm(side, axis=1)[:, None]
+    offsets, grey, sigma = np.arange(-4.0, 8.5, 0.5), np.empty((4, 25)), np.empty((4, 25))
+    assert mean_profiles(image, corners, outward, np.ones((4, 2)), offsets, grey, sigma)
+    for s in range(4):
+        count = int(0.9 * np.linalg.norm(side[s]))
+        share = 0.5 + 0.9 * ((np.arange(count) + 0.5) / count - 0.5)
+        place = corners[s] + share[:, None, None] * side[s] + offsets[:, None] * outward[s]
+        values = cv2.remap(image.astype(np.float32), place.astype(np.float32), None, 1)
+        values = values - values.mean(axis=1, keepdims=True)
+        np.testing.assert_allclose(grey[s], values.mean(axis=0), atol=0.1)
+        expected = np.hypot(values.std(axis=0), 12**-0.5) / np.sqrt(count / 2.0)
+        np.testing.assert_allclose(sigma[s], expected, rtol=0.05, atol=0.01)
+
+
+def test_compiled_steps_against_numpy() -> None:
+    rng = np.random.default_rng(1)
+    grey, sigma = rng.normal(0, 20, (8, 25)), rng.uniform(0.5, 2.0, (8, 25))
+    across = np.arange(-4.0, 8.5, 0.5) - rng.uniform(-1, 1, (8, 1))
+    width, residuals = rng.uniform(1, 4, 8), np.empty((8, 25))
+    found, covariances = np.empty((8, 4)), np.empty((8, 4, 4))
+    cost = fit_steps(grey, sigma, across, width, 0.7, residuals, found, covariances)
+    assert cost == pytest.approx((residuals**2).sum())
+    for s in range(8):
+        steps = [ndtr(across[s] / 0.7), ndtr((across[s] - width[s]) / 0.7)]
+        basis = np.stack([np.ones(25), across[s], *steps], axis=1) / sigma[s][:, None]
+        expected, misfit, *_ = np.linalg.lstsq(basis, grey[s] / sigma[s])
+        np.testing.assert_allclose(found[s], expected, rtol=1e-6)
+        assert (residuals[s] ** 2).sum() == pytest.approx(misfit[0])
+        np.testing.assert_allclose(covariances[s], np.linalg.inv(basis.T @ basis), rtol=1e-6)

@@ -33,6 +33,7 @@ from rgslam.rectangles.thin_frames import outer_border
 from rgslam.rectangles.verification import (
     LARGEST_COST,
     RightCorners,
+    is_possible,
     measure_in_right,
     rectangle_probability,
 )
@@ -117,7 +118,13 @@ def detect_rectangles(
 
     # 1. Hypotheses: four lines each
     lines = lines_of_gradient(left, gradients[0], config.rectangles)
-    quads = find_quadrangles(lines, gradients[0], config.rectangles)
+    least = config.rectangles.min_probability
+    quads = find_quadrangles(
+        lines,
+        gradients[0],
+        config.rectangles,
+        lambda support, loose_ends: is_possible(support, loose_ends, least),
+    )
     rejected.update(quads.rejected)
 
     # 2., 3. Normal and shape, before any depth

@@ -51,7 +51,7 @@ def close_quadrangles(
         Lines (k, 4) in the order around, support (k, 4) of the sides on them, number (k,) of ends
         of sides past which the line goes on, and counts of what was refused, by `REASONS`.
     """
-    begins, first, second = _open_sides(
+    sides, arms, shares = _open_sides(
         corners.valid,
         corners.along,
         support.cumulated,
@@ -62,7 +62,7 @@ def close_quadrangles(
         config.min_side_support,
     )
     size = len(corners.valid)
-    order = np.argsort(first * size + second, kind="stable")
+    order = np.argsort(arms[:, 0] * size + arms[:, 1], kind="stable")
     limits = np.array(
         [
             config.min_side * diagonal,
@@ -73,9 +73,9 @@ def close_quadrangles(
         ]
     )
     return _closed(
-        begins[order],
-        first[order],
-        second[order],
+        sides[order],
+        arms[order],
+        shares[order],
         corners.points,
         corners.along,
         corners.valid,
@@ -138,10 +138,11 @@ def _share(
 def _open_sides(
     valid: npt.NDArray[np.bool_], along: FloatArray, cumulated: FloatArray, first: IntArray,
     count: IntArray, begin: FloatArray, least: float, least_support: float,
-) -> tuple[IntArray, IntArray, IntArray]:  # fmt: skip
-    """Every line with the two lines at its ends, the arms a < b."""
+) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
+    """Every line with the two lines at its ends, the arms a < b, and its support between them."""
     size = len(valid)
-    found = np.empty((_MOST_U, 3), dtype=np.int64)
+    sides, arm = np.empty(_MOST_U, dtype=np.int64), np.empty((_MOST_U, 2), dtype=np.int64)
+    shares = np.empty(_MOST_U)
     total = 0
     near = np.empty(size, dtype=np.int64)
     for j in range(size):
@@ -158,14 +159,14 @@ def _open_sides(
                     continue
                 share = _share(j, along[j, a], along[j, b], cumulated, first, count, begin)
                 if share >= least_support and total < _MOST_U:
-                    found[total, 0], found[total, 1], found[total, 2] = j, a, b
+                    sides[total], arm[total, 0], arm[total, 1], shares[total] = j, a, b, share
                     total += 1
-    return found[:total, 0].copy(), found[:total, 1].copy(), found[:total, 2].copy()
+    return sides[:total].copy(), arm[:total].copy(), shares[:total].copy()
 
 
 @njit(cache=True)
 def _closed(
-    side: IntArray, first_arm: IntArray, second_arm: IntArray, points: FloatArray,
+    side: IntArray, arms: IntArray, own_share: FloatArray, points: FloatArray,
     along: FloatArray, valid: npt.NDArray[np.bool_], cumulated: FloatArray, first: IntArray,
     count: IntArray, begin: FloatArray, limits: FloatArray,
 ) -> tuple[IntArray, FloatArray, IntArray, IntArray]:  # fmt: skip
@@ -178,15 +179,15 @@ def _closed(
     share, room = np.empty(4), np.empty((4, 3))
     total, start = 0, 0
     while start < len(side):
-        a, b = first_arm[start], second_arm[start]
+        a, b = arms[start, 0], arms[start, 1]
         end = start
-        while end < len(side) and first_arm[end] == a and second_arm[end] == b:
+        while end < len(side) and arms[end, 0] == a and arms[end, 1] == b:
             end += 1
         for p in range(start, end):
             for q in range(p + 1, end):
-                j, l = min(side[p], side[q]), max(side[p], side[q])  # noqa: E741
+                j, l = side[p], side[q]  # noqa: E741
                 # Each quadrangle is met twice, once by either pair of opposite sides.
-                if j > min(a, b):
+                if min(j, l) > min(a, b):
                     continue
                 if (
                     abs(along[a, j] - along[a, l]) < limits[0]
@@ -195,11 +196,13 @@ def _closed(
                     refused[_SMALL] += 1
                     continue
                 lines[0], lines[1], lines[2], lines[3] = j, b, l, a
-                for s in range(4):
-                    i, before, after = lines[s], lines[(s + 3) % 4], lines[(s + 1) % 4]
-                    share[s] = _share(
-                        i, along[i, before], along[i, after], cumulated, first, count, begin
-                    )
+                share[0], share[2] = own_share[p], own_share[q]
+                share[1] = _share(b, along[b, j], along[b, l], cumulated, first, count, begin)
+                if share[1] >= limits[2]:
+                    share[3] = _share(a, along[a, j], along[a, l], cumulated, first, count, begin)
+                if share[1] < limits[2] or share[3] < limits[2]:
+                    refused[_WEAK] += 1
+                    continue
                 reason = _refusal(lines, points, share, limits, room)
                 if reason != _GOOD:
                     refused[reason] += 1
@@ -222,14 +225,13 @@ def _refusal(
     lines: IntArray, points: FloatArray, share: FloatArray, limits: FloatArray, side: FloatArray
 ) -> int:
     """Why four lines in order are no projected rectangle, or _GOOD; overwrites `side` (4, 3)."""
-    perimeter, seen, weakest = 0.0, 0.0, 1.0
+    perimeter, seen = 0.0, 0.0
     for s in range(4):
         before, i, after = lines[(s + 3) % 4], lines[s], lines[(s + 1) % 4]
         for axis in range(2):
             side[s, axis] = points[i, after, axis] - points[before, i, axis]
-        side[s, 2] = math.hypot(side[s, 0], side[s, 1])
+        side[s, 2] = math.sqrt(side[s, 0] * side[s, 0] + side[s, 1] * side[s, 1])
         perimeter, seen = perimeter + side[s, 2], seen + share[s] * side[s, 2]
-        weakest = min(weakest, share[s])
     turns, largest = 0, 0.0
     for s in range(4):
         n = (s + 1) % 4
@@ -240,7 +242,7 @@ def _refusal(
         return _CROSSED
     if largest > limits[1]:
         return _ANGLE
-    if weakest < limits[2] or seen < limits[3] * perimeter:
+    if seen < limits[3] * perimeter:
         return _WEAK
     return _GOOD
 

@@ -10,10 +10,11 @@ quadrangle. What no projected rectangle can be is refused and counted by reason.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from rgslam.config import RectangleConfig
 from rgslam.rectangles.gradients import GradientImage
@@ -60,9 +61,20 @@ class Quadrangles:
 
 
 def find_quadrangles(
-    lines: ImageLines, gradient: GradientImage, config: RectangleConfig
+    lines: ImageLines,
+    gradient: GradientImage,
+    config: RectangleConfig,
+    worth: Callable[[FloatArray, IntArray], npt.NDArray[np.bool_]] | None = None,
 ) -> Quadrangles:
-    """Group lines into quadrangles, the best supported first."""
+    """Group lines into quadrangles, the best supported first.
+
+    Args:
+        lines: Of the image.
+        gradient: Likewise.
+        config: Section `rectangles`.
+        worth: Which quadrangles (k,) are worth to be measured, by support (k, 4) and loose ends
+            (k,); None = all.
+    """
     rejected: dict[Rejection, int] = {}
     if len(lines) < 4:
         rejected[Rejection.TOO_FEW_LINES] = 1
@@ -74,6 +86,10 @@ def find_quadrangles(
     members, quality, loose_ends, counts = close_quadrangles(corners, support, diagonal, config)
     for reason, count in zip(REASONS, counts, strict=True):
         rejected[reason] = rejected.get(reason, 0) + int(count)
+    if worth is not None:
+        good = worth(quality, loose_ends)
+        rejected[Rejection.WEAK_BORDER] += int((~good).sum())
+        members, quality, loose_ends = members[good], quality[good], loose_ends[good]
     if not len(members):
         return _none(rejected)
     found = _ranked(lines, corners, members, quality, loose_ends, config)

@@ -37,14 +37,18 @@ def _groups(pieces: FloatArray, limits: FloatArray) -> IntArray:
     """For each piece (n,) the first piece of the chain that it is linked to."""
     count = len(pieces)
     leader = np.arange(count)
-    length = np.empty(count)
+    length, axis = np.empty(count), np.empty((count, 2))
     for i in range(count):
-        length[i] = math.hypot(pieces[i, 1, 0] - pieces[i, 0, 0], pieces[i, 1, 1] - pieces[i, 0, 1])
+        dx, dy = pieces[i, 1, 0] - pieces[i, 0, 0], pieces[i, 1, 1] - pieces[i, 0, 1]
+        length[i] = math.sqrt(dx * dx + dy * dy)
+        axis[i, 0], axis[i, 1] = dx / length[i], dy / length[i]
     for i in range(count):
-        for j in range(count):
-            if length[j] > length[i] or (length[j] == length[i] and j <= i):
+        for j in range(i + 1, count):
+            # Most pairs point elsewhere, which is quickly seen.
+            if abs(axis[i, 0] * axis[j, 0] + axis[i, 1] * axis[j, 1]) < limits[0]:
                 continue
-            if _continues(pieces, i, j, length[i], length[j], limits):
+            k, l = (i, j) if length[i] >= length[j] else (j, i)  # noqa: E741
+            if _continues(pieces, k, l, axis[k], length[k], length[l], limits):
                 a, b = _leader(leader, i), _leader(leader, j)
                 leader[max(a, b)] = min(a, b)
     for i in range(count):
@@ -61,17 +65,14 @@ def _leader(leader: IntArray, i: int) -> int:
 
 @njit(cache=True)
 def _continues(
-    pieces: FloatArray, i: int, j: int, length: float, other: float, limits: FloatArray
-) -> bool:
-    """Whether piece j, not longer than piece i, continues it."""
-    turn, bend, offset, gap, least = limits[0], limits[1], limits[2], limits[3], limits[4]
-    x, y = pieces[i, 0, 0], pieces[i, 0, 1]
-    ax, ay = (pieces[i, 1, 0] - x) / length, (pieces[i, 1, 1] - y) / length
-    bx, by = pieces[j, 1, 0] - pieces[j, 0, 0], pieces[j, 1, 1] - pieces[j, 0, 1]
-    if abs(ax * bx + ay * by) < turn * other:
-        return False
-    x0, y0, x1, y1 = pieces[j, 0, 0] - x, pieces[j, 0, 1] - y, pieces[j, 1, 0] - x, 0.0
-    y1 = pieces[j, 1, 1] - y
+    pieces: FloatArray, i: int, j: int, axis: FloatArray, length: float, other: float,
+    limits: FloatArray,
+) -> bool:  # fmt: skip
+    """Whether piece j, not longer than piece i and at a small angle to its axis, continues it."""
+    bend, offset, gap, least = limits[1], limits[2], limits[3], limits[4]
+    x, y, ax, ay = pieces[i, 0, 0], pieces[i, 0, 1], axis[0], axis[1]
+    x0, y0 = pieces[j, 0, 0] - x, pieces[j, 0, 1] - y
+    x1, y1 = pieces[j, 1, 0] - x, pieces[j, 1, 1] - y
     u0, u1 = ax * x0 + ay * y0, ax * x1 + ay * y1
     v0, v1 = ax * y0 - ay * x0, ax * y1 - ay * x1
     apart = max(min(u0, u1) - length, -max(u0, u1))

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -21,6 +20,7 @@ from rgslam.config import RectangleConfig
 from rgslam.rectangles.gradients import GradientImage, gradient_image
 from rgslam.rectangles.line_fitting import fit_lines
 from rgslam.rectangles.line_merging import merge_collinear
+from rgslam.rectangles.line_pieces import edge_pieces
 from rgslam.types import FloatArray
 
 _GreyImage = npt.NDArray[np.uint8]
@@ -71,9 +71,7 @@ def lines_of_gradient(
     image: _GreyImage, gradient: GradientImage, config: RectangleConfig
 ) -> ImageLines:
     """As `detect_lines`, where the gradient is known already."""
-    found = _detector(gradient.noise).detect(image)[0]
-    pieces = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
-    pieces = pieces[np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1) >= config.min_piece_px]
+    pieces = edge_pieces(gradient.xy, _least_gradient(gradient.noise), config.min_piece_px)
     merged = merge_collinear(pieces, config)
     diagonal = math.hypot(*image.shape)
     least = max(config.min_piece_px, config.min_side * diagonal)
@@ -87,12 +85,9 @@ def lines_of_gradient(
     return lines.take(~_doubles(lines.endpoints))
 
 
-def _detector(noise: float) -> cv2.LineSegmentDetector:
-    """OpenCV's detector (Grompone von Gioi 2010), as sensitive as the gradient's noise allows."""
-    # Its gradient threshold is quant / sin(22.5 degrees), in an image smoothed about as Sobel does.
-    # The detector's own value, 2, overlooks faint edges that run on for a hundred pixels.
-    quant = max(_ROUNDING, _NOISE_SIGMAS * noise * math.sin(math.radians(22.5)))
-    return cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD, quant=quant)
+def _least_gradient(noise: float) -> float:
+    """What an edge's gradient stands out of: the noise, and what rounding does to direction."""
+    return max(_ROUNDING / math.sin(math.radians(22.5)), _NOISE_SIGMAS * noise)
 
 
 def refine_lines(

@@ -44,17 +44,20 @@ def find_rectangular(
         config: Thresholds.
     """
     gradient = gradient_image(image)
-    quads = find_quadrangles(lines_of_gradient(image, gradient, config), gradient, config)
+    quads = find_quadrangles(
+        lines_of_gradient(image, gradient, config),
+        gradient,
+        config,
+        lambda _, loose_ends: loose_ends <= config.max_loose_ends,
+    )
     right = shape_score(quads.corners, quads.covariances, camera) <= config.shape_sigmas
-    ended = quads.loose_ends <= config.max_loose_ends
     directions = side_directions(quads.corners, camera)
     sigmas = _direction_sigmas(quads.corners, quads.covariances, camera)
     sure = (sigmas <= np.radians(config.max_direction_sigma_deg)).all(axis=1)
     rejected = Counter(quads.rejected)
     rejected[Rejection.NOT_RECTANGLE] += int((~right).sum())
-    rejected[Rejection.WEAK_BORDER] += int((right & ~ended).sum())
-    rejected[Rejection.TOO_UNCERTAIN] += int((right & ended & ~sure).sum())
-    kept = np.flatnonzero(right & ended & sure)
+    rejected[Rejection.TOO_UNCERTAIN] += int((right & ~sure).sum())
+    kept = np.flatnonzero(right & sure)
     return RectangularQuadrangles(
         quads.take(kept),
         plane_normal(quads.corners[kept], camera),

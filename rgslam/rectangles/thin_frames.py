@@ -14,12 +14,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
-from scipy.special import ndtr
 
+from rgslam.rectangles.frame_profiles import fit_steps, mean_profiles
 from rgslam.types import FloatArray
 
 _GreyImage = npt.NDArray[np.uint8]
@@ -29,13 +28,12 @@ _INSIDE, _OUTSIDE, _STEP = 4.0, 8.0, 0.5
 # in proportion, by how much lenses differ. A narrow frame does not tell its width from the blur.
 _BLUR, _BLUR_SPREAD = 0.66, 0.15
 _STARTS_PX = (1.25, 1.75, 2.5, 3.5, 5.0)  # wider frames show two lines, which are two hypotheses
-_MIDDLE = 0.9  # share of a side that is sampled: at its ends the frame turns the corner
-_ALIKE_PX = 2.0  # along a side: bilinear interpolation shares pixels
-_ROUNDING = 1.0 / math.sqrt(12.0)  # grey values
 _GAIN = 2.0  # a frame explains so many times the misfit of one step with as many parameters
 _SIGMAS = 5.0  # by which each of the sixteen steps stands out of the noise and the misfit
 _NUDGE = 1e-5  # px, and of the blur's spread: for derivatives
 _PASSES = 12  # of the fit; it needs about eight
+_KNOWN = 1.0  # relative standard deviation of a width that is told from none
+_ENOUGH = 1e-5  # relative change of the chi-square, of some 200: less than a tenth of a sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,25 +101,15 @@ def _profiles(
     scale = (ends * outward[:, :, None]).sum(axis=3)
     if not (scale > 0.0).all():
         return None
-    grey, sigma = np.empty((2, 4, len(_OFFSETS))), np.empty((2, 4, len(_OFFSETS)))
+    grey, sigma = np.empty((8, len(_OFFSETS))), np.empty((8, len(_OFFSETS)))
     for i, image in enumerate(images):
-        for s in range(4):
-            count = max(int(_MIDDLE * length[i, s]), 8)
-            share = 0.5 + _MIDDLE * ((np.arange(count) + 0.5) / count - 0.5)
-            here = (1 - share) * scale[i, s, 0] + share * scale[i, s, 1]
-            across = (here / scale[i, s].mean())[:, None] * _OFFSETS
-            place = corners[i, s] + share[:, None] * side[i, s]
-            place = (place[:, None] + across[..., None] * outward[i, s]).astype(np.float32)
-            if (place < 0).any() or (place > np.array(image.shape[::-1]) - 1).any():
-                return None
-            values = cv2.remap(image, place, None, cv2.INTER_LINEAR).astype(float)
-            values -= values.mean(axis=1, keepdims=True)  # shading along the side
-            alike = math.sqrt(max(count / _ALIKE_PX, 1.0))
-            grey[i, s] = values.mean(axis=0)
-            sigma[i, s] = np.hypot(values.std(axis=0), _ROUNDING) / alike
-    return _Profiles(
-        grey.reshape(8, -1), sigma.reshape(8, -1), outward.reshape(8, 2), scale.reshape(8, 2)
-    )
+        own = slice(4 * i, 4 * i + 4)
+        inside = mean_profiles(
+            image, corners[i], outward[i], scale[i], _OFFSETS, grey[own], sigma[own]
+        )
+        if not inside:
+            return None
+    return _Profiles(grey, sigma, outward.reshape(8, 2), scale.reshape(8, 2))
 
 
 def _solved(
@@ -132,15 +120,14 @@ def _solved(
     Coefficients: level, slope (shading), the step at `offset` (8,), and the one `width` outside it.
     """
     across = _OFFSETS - offset[:, None]
-    columns = [np.ones_like(across), across / _OUTSIDE, ndtr(across / blur)]
-    if width is not None:
-        columns.append(ndtr((across - width * profiles.mean_scale[:, None]) / blur))
-    basis = np.stack(columns, axis=2) / profiles.sigma[..., None]
-    seen = profiles.grey / profiles.sigma
-    turned = basis.transpose(0, 2, 1)
-    covariance = np.linalg.pinv(turned @ basis, hermitian=True)
-    coefficients = (covariance @ (turned @ seen[..., None]))[..., 0]
-    return seen - (basis @ coefficients[..., None])[..., 0], coefficients, covariance
+    terms = 3 if width is None else 4
+    residuals = np.empty_like(profiles.grey)
+    coefficients, covariances = np.empty((8, terms)), np.empty((8, terms, terms))
+    widths = np.zeros(0) if width is None else width * profiles.mean_scale
+    fit_steps(
+        profiles.grey, profiles.sigma, across, widths, blur, residuals, coefficients, covariances
+    )
+    return residuals, coefficients, covariances
 
 
 def _start(profiles: _Profiles) -> float | None:
@@ -184,7 +171,9 @@ def _fit(profiles: _Profiles, start: float) -> tuple[FloatArray, FloatArray] | N
         return result
 
     first = np.r_[start / unit, np.zeros(9)]
-    found = least_squares(residuals, first, jac=slopes, bounds=(lowest, bounds), max_nfev=_PASSES)
+    found = least_squares(
+        residuals, first, jac=slopes, bounds=(lowest, bounds), max_nfev=_PASSES, ftol=_ENOUGH
+    )
     width, offset = found.x[0] * unit, found.x[1:9]
     blur = _BLUR * math.exp(_BLUR_SPREAD * found.x[9])
     _, steps, covariance = _solved(profiles, width, blur, offset)
@@ -195,6 +184,9 @@ def _fit(profiles: _Profiles, start: float) -> tuple[FloatArray, FloatArray] | N
     if not line.all() or not (found.active_mask == 0).all():
         return None
     full = np.linalg.inv(found.jac.T @ found.jac)[:9, :9]
+    # Far below the blur, a narrow dark line and a wider grey one look alike.
+    if full[0, 0] > (_KNOWN * found.x[0]) ** 2:
+        return None
     units = np.r_[unit, np.ones(8)]
     return np.r_[width, offset], full * np.outer(units, units)
 

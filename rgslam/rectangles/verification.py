@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from rgslam.config import RectangleConfig
 from rgslam.rectangles.gradients import GradientImage
@@ -62,6 +63,28 @@ def measure_in_right(
     corners = np.where(usable[:, None, None], corners, np.nan)
     covariances = np.where(usable[:, None, None], covariances, np.eye(8))
     return RightCorners(corners, covariances, lines.seen.reshape(count, 4))
+
+
+def is_possible(
+    left_support: FloatArray,
+    loose_ends: IntArray,
+    least: float,
+    right_support: FloatArray | float = 1.0,
+    other_log_odds: float = 0.0,
+) -> npt.NDArray[np.bool_]:
+    """Whether (k,) quadrangles could reach a probability, whatever is measured of them later.
+
+    Args:
+        left_support: (k, 4), as in `rectangle_probability`.
+        loose_ends: (k,), likewise.
+        least: The probability.
+        right_support: (k, 4), where it is known already.
+        other_log_odds: The most that other evidence may add.
+    """
+    right_support = np.broadcast_to(right_support, left_support.shape)
+    nothing = np.zeros(len(left_support))
+    best = rectangle_probability(left_support, right_support, nothing, loose_ends, other_log_odds)
+    return best >= least
 
 
 def rectangle_probability(
