@@ -249,8 +249,13 @@ def segment(
         float | None,
         typer.Option("--resolution", min=0.0, help="Metres per pixel; a YAML file has its own."),
     ] = None,
-    junctions: Annotated[
-        bool, typer.Option("--junctions", help="Divide hallways where they meet and bend.")
+    of_run: Annotated[
+        bool,
+        typer.Option(
+            "--of-run",
+            help="The grid was made by a robot: divide hallways where they meet and bend, and count"
+            " what furniture hides.",
+        ),
     ] = False,
 ) -> None:
     """Find the regions and gateways of an occupancy grid.
@@ -263,7 +268,7 @@ def segment(
     from rgslam.regions import segment_grid
 
     occupancy_grid = read_grid(grid, resolution)
-    segmentation = segment_grid(occupancy_grid, occupancy_grid.resolution, junctions=junctions)
+    segmentation = segment_grid(occupancy_grid, occupancy_grid.resolution, of_run=of_run)
     write_segmentation(segmentation, occupancy_grid, out, name=grid.name)
     for warning in segmentation.warnings:
         typer.echo(f"warning: {warning}", err=True)

@@ -403,7 +403,7 @@ class Mapper:
             )
         with self.clock.stage("regions and gateways"):
             tell("regions and gateways", 0, 1)
-            segmentation = segment_grid(grid, config=self.config, junctions=True)
+            segmentation = segment_grid(grid, config=self.config, of_run=True)
             # Walls and posts where the beams ended, not where cells begin
             keyframe_scans = [self._track.scans[k] for k in self._keyframe_scans]
             hits = hits_of(keyframe_scans, self._poses)

@@ -41,7 +41,7 @@ def test_hallways_are_divided_where_they_meet(
     name: str, angle: float, mirror: bool, resolution: float
 ) -> None:
     shapes, expected = FLOORS[name]
-    found = segment_grid(raster(shapes, resolution, angle, mirror), junctions=True)
+    found = segment_grid(raster(shapes, resolution, angle, mirror), of_run=True)
     assert sorted(g.label.value for g in found.gateways) == sorted(e[0].value for e in expected)
     assert len(found.regions) == len(expected) + 1
     for label, *posts in expected:
@@ -60,7 +60,7 @@ def test_hallways_are_divided_where_they_meet(
 def test_plans_keep_their_hallways_whole() -> None:
     grid = raster(FLOORS["X"][0], 0.05)
     assert len(segment_grid(grid).regions) == 1
-    divided = segment_grid(grid, junctions=True)
+    divided = segment_grid(grid, of_run=True)
     # The grid is shared out without remainder, whichever way
     assert (divided.labels > 0).sum() == (segment_grid(grid).labels > 0).sum()
 
@@ -68,13 +68,13 @@ def test_plans_keep_their_hallways_whole() -> None:
 def test_doors_beside_a_junction_are_no_corners() -> None:
     rooms = [shapely.box(1.1, 1.2, 4, 5), shapely.box(-5, -5, -1.2, -1.2)]
     doors = [shapely.box(2, 1, 2.9, 1.2), shapely.box(-3, -1.2, -2.1, -1)]
-    found = segment_grid(raster([MAIN, NORTH, *rooms, *doors], 0.05), junctions=True)
+    found = segment_grid(raster([MAIN, NORTH, *rooms, *doors], 0.05), of_run=True)
     labels = sorted(g.label.value for g in found.gateways)
     assert labels == ["narrow_passage", "narrow_passage", "t_junction"]
 
 
 def test_furniture_beside_a_bend_is_no_second_bend() -> None:
     box = shapely.box(6.8, 0.7, 7.3, 1.0)  # against the wall of the inner corner
-    found = segment_grid(raster([shapely.union(MAIN, LEG) - box], 0.05), junctions=True)
+    found = segment_grid(raster([shapely.union(MAIN, LEG) - box], 0.05), of_run=True)
     assert [g.label for g in found.gateways] == [L]
     np.testing.assert_allclose(sorted(found.gateways[0].points[:, 0]), [8.0, 10.0], atol=0.1)

@@ -90,7 +90,7 @@ def test_posts_of_a_bend_are_corners_of_its_walls() -> None:
     places = [moved(shapely.Point(p), 0.4, False) for p in stops]
     poses = np.array([[p.x, p.y, 0.2 * k] for k, p in enumerate(places)])
     hits = hits_of([scan_in(space, pose, 721, SIGMA, rng) for pose in poses], poses)
-    rough = segment_grid(grid, junctions=True)
+    rough = segment_grid(grid, of_run=True)
     (gateway,) = fit_to_scans(rough, hits, grid.resolution, Config()).gateways
     corners = [moved(shapely.Point(p), 0.4, False) for p in ((8, 1), (10, -1))]
     true = np.array([[c.x, c.y] for c in corners])

@@ -35,6 +35,7 @@ class RegionView:
     inside: BoolArray  # (h, w), cells of the region
     is_wall: BoolArray  # (h, w), cells seen occupied
     solid: BoolArray  # (h, w), cells of the region taken by free-standing objects
+    at_walls: BoolArray  # (h, w), cells beside them taken by furniture against a wall
     corner: IntArray  # (2,), row and column of the part's first cell
     resolution: float
     origin: FloatArray  # (2,), world position of the grid's corner
@@ -152,10 +153,11 @@ def _runs(points: FloatArray, keep: BoolArray) -> list[FloatArray]:
 
 
 def _objects(view: RegionView, least_area: float) -> tuple[FloatArray, ...]:
-    """Outlines (n, 2) in w, counter-clockwise, of what stands free in a region.
+    """Outlines (n, 2) in w, counter-clockwise, of what stands in a region.
 
-    Small objects are filled in the region's cells, larger ones are holes of it; both count when
-    something solid was seen there (a patch of the unknown is no object) on more than `least_area`.
+    Free-standing small objects are filled in the region's cells, larger ones are holes of it; both
+    count when something solid was seen there (a patch of the unknown is no object) on more than
+    `least_area`. What stands against a wall is known by what it hides.
     """
     solid = view.solid & view.is_wall
     outlines = []
@@ -163,7 +165,10 @@ def _objects(view: RegionView, least_area: float) -> tuple[FloatArray, ...]:
         area = signed_area(polygon)
         if area < -least_area:
             outlines.append(polygon[::-1])
-    outlines += [p for p in trace_outlines(solid, 0.5).polygons() if signed_area(p) > least_area]
+    for cells in (solid, view.at_walls):
+        outlines += [
+            p for p in trace_outlines(cells, 0.5).polygons() if signed_area(p) > least_area
+        ]
     return tuple(view.world(p) for p in outlines)
 
 
@@ -179,8 +184,11 @@ def _frame_and_box(polygon: FloatArray, axes: FloatArray) -> tuple[FloatArray, F
 
 
 def _outline(view: RegionView) -> FloatArray:
-    """Outer outline (n, 2) in w of the region's largest connected piece, counter-clockwise."""
-    polygons = trace_outlines(view.inside, 1.0).polygons()
+    """Outer outline (n, 2) in w of the region's largest connected piece, counter-clockwise.
+
+    Furniture against a wall stands in the region.
+    """
+    polygons = trace_outlines(view.inside | view.at_walls, 1.0).polygons()
     outer = max(polygons, key=signed_area)
     return view.world(outer)
 

@@ -18,6 +18,7 @@ from rgslam.occupancy_grid import grid_from_image
 from rgslam.regions.description import RegionView, describe_region, inner_clearances, region_boxes
 from rgslam.regions.hallways import split_hallways
 from rgslam.regions.partition import Partition, partition_free_space
+from rgslam.regions.wall_furniture import furniture_at_walls
 from rgslam.types import (
     FloatArray,
     Gateway,
@@ -40,21 +41,22 @@ def segment_grid(
     grid: OccupancyGrid | npt.NDArray[np.uint8],
     resolution: float | None = None,
     config: Config | None = None,
-    junctions: bool = False,
+    of_run: bool = False,
 ) -> Segmentation:
     """Regions and gateways of an occupancy grid or of a map image.
 
     Every free cell that is connected to a region has its label, and so have the small objects that
-    stand free in it; pieces of free space in which nobody could stand and that open to no region
-    (speckles behind windows) have none.
+    stand in it, free or against a wall; pieces of free space in which nobody could stand and that
+    open to no region (speckles behind windows) have none.
 
     Args:
         grid: the grid; or an image (H, W) as of a PNG map, row 0 at the top, at least 250 = free,
             205 = unknown. The lower left corner of an image is the origin of the world.
         resolution: m per pixel of an image; a grid knows its own.
         config: the sections `gateways` and `regions` are used; None for the defaults.
-        junctions: divide hallways where they meet and bend, as in the map of a run. Floor plans are
-            drawn without that.
+        of_run: as in the map of a run: divide hallways where they meet and bend, and count as a
+            region's what furniture against its walls hides from the laser. Floor plans are drawn
+            without the one, and what they show no floor of is no floor.
 
     Returns:
         Labels in the rows of `OccupancyGrid` (row 0 = lowest y, an image turned upside down),
@@ -77,17 +79,22 @@ def segment_grid(
     free = np.asarray(grid.occupancy < _FREE_BELOW, bool)
     is_wall = np.asarray(grid.occupancy >= _FREE_BELOW, bool)
     partition = partition_free_space(free, is_wall, grid.resolution, config)
-    if junctions:
+    furniture = np.zeros_like(partition.labels)
+    if of_run:
         partition = split_hallways(partition, free, grid.resolution, config)
+        furniture = furniture_at_walls(
+            partition.labels, partition.count, free, is_wall, grid.resolution, config.regions
+        )
     if partition.count > np.iinfo(np.uint16).max:
         raise MapError(f"{partition.count} regions are more than the label image can hold")
     gateways = _gateways(partition, grid)
-    regions = _regions(partition, gateways, free, is_wall, grid, config)
+    regions = _regions(partition, furniture, gateways, free, is_wall, grid, config)
     classified = _classified(gateways, regions, partition, grid, config)
     warnings = () if regions else ("no free space is large enough for a region",)
     labels = np.zeros(whole.occupancy.shape, np.uint16)
     height, width = partition.labels.shape
-    labels[corner[0] : corner[0] + height, corner[1] : corner[1] + width] = partition.labels
+    part = np.s_[corner[0] : corner[0] + height, corner[1] : corner[1] + width]
+    labels[part] = np.where(furniture > 0, furniture, partition.labels)
     return Segmentation(labels, regions, classified, warnings)
 
 
@@ -142,6 +149,7 @@ def _gateways(partition: Partition, grid: OccupancyGrid) -> list[Gateway]:
 
 def _regions(
     partition: Partition,
+    furniture: npt.NDArray[np.int32],
     gateways: list[Gateway],
     free: BoolArray,
     is_wall: BoolArray,
@@ -156,8 +164,8 @@ def _regions(
         part = np.s_[r0 : box[2] + 2, c0 : box[3] + 2]
         inside = partition.labels[part] == i + 1
         view = RegionView(
-            inside, is_wall[part], inside & ~free[part], np.array([r0, c0]),
-            grid.resolution, grid.origin,
+            inside, is_wall[part], inside & ~free[part], furniture[part] == i + 1,
+            np.array([r0, c0]), grid.resolution, grid.origin,
         )  # fmt: skip
         own = [g for g in gateways if i + 1 in g.regions]
         regions.append(describe_region(i + 1, view, own, float(clearances[i]), config.regions))

@@ -1,0 +1,137 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Furniture that stands against walls: space of a room that no laser sees.
+
+A cabinet hides the wall behind it, so that the free space of its room has a recess there. The walls
+on either side of it tell how far the room really goes.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rgslam.config import RegionConfig
+from rgslam.line_segments import main_axes
+from rgslam.outlines import trace_outlines
+from rgslam.regions.description import region_boxes
+from rgslam.types import FloatArray, LineSegment
+
+BoolArray = npt.NDArray[np.bool_]
+LabelArray = npt.NDArray[np.int32]
+
+# Noise of walls in a grid, m: what stands out by less is no furniture.
+_WALL_NOISE = 0.06
+# Share of a hidden place's inner cells that may have been seen occupied: a laser does not look
+# inside of furniture, but it does see the far side of a pier.
+_SEEN_INSIDE = 0.1
+# Share of it that may be somebody else's: what shows through the joints of a wall.
+_OF_OTHERS = 0.02
+
+
+def furniture_at_walls(
+    labels: LabelArray, count: int, free: BoolArray, is_wall: BoolArray, resolution: float,
+    config: RegionConfig,
+) -> LabelArray:  # fmt: skip
+    """Cells (H, W) taken by furniture against the walls of regions: the region's label, else 0.
+
+    Such a place has the region on two neighbouring sides at least, as far as its walls reach; it
+    is no larger than furniture is, nobody has looked inside, and it is nobody else's.
+
+    Args:
+        labels: (H, W), of regions 1 to `count`.
+        count: number of regions.
+        free: (H, W) free cells.
+        is_wall: (H, W) cells seen occupied.
+        resolution: m per cell.
+        config: how large furniture is.
+    """
+    found = np.zeros_like(labels)
+    margin = 2
+    for i, (r0, c0, r1, c1) in enumerate(region_boxes(labels, count)):
+        rows, cols = max(r0 - margin, 0), max(c0 - margin, 0)
+        part = np.s_[rows : r1 + margin, cols : c1 + margin]
+        inside = labels[part] == i + 1
+        taken = (free[part] | (labels[part] > 0)) & ~inside
+        hidden = _hidden(inside, taken, is_wall[part], resolution, config)
+        found[part][hidden & (found[part] == 0)] = i + 1
+    return found
+
+
+def _hidden(
+    inside: BoolArray, taken: BoolArray, is_wall: BoolArray, resolution: float, config: RegionConfig
+) -> BoolArray:
+    """The same for one region, in its part of the grid."""
+    there, back = _turn_to_walls(inside)
+    mask, occupied, others = (_turned(image, there) for image in (inside, is_wall & ~inside, taken))
+    # Single beams through a door's gap reach past a wall; the walls are where the bulk ends
+    width = 2 * int(np.ceil(2.0 * _WALL_NOISE / resolution)) + 1
+    bulk = cv2.morphologyEx(
+        mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((width, width), np.uint8)
+    )
+    places = _enclosed(bulk > 0) & ~mask
+    number, pieces, stats, _ = cv2.connectedComponentsWithStats(
+        places.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
+    )
+    # Fronts are seen as deep as the noise of a wall; what lies deeper has been looked into
+    front = int(np.ceil(2.0 * _WALL_NOISE / resolution))
+    near = cv2.dilate(mask.astype(np.uint8), np.ones((2 * front + 1, 2 * front + 1), np.uint8)) > 0
+    looked_into = np.bincount(pieces[occupied & ~near], minlength=number)
+    beside = cv2.dilate(others.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    of_others = np.bincount(pieces[beside], minlength=number)
+    sides = np.sort(stats[:, 2:4], axis=1) * resolution
+    good = (
+        # A recess no longer than a chair is as likely a column as a bin
+        (sides[:, 1] > config.largest_object)
+        & (sides[:, 0] >= 2.0 * _WALL_NOISE)
+        & (sides[:, 0] <= config.deepest_furniture)
+        & (sides[:, 1] <= config.largest_furniture)
+        & (looked_into <= _SEEN_INSIDE * stats[:, 4])
+        & (of_others <= _OF_OTHERS * stats[:, 4])
+    )
+    good[0] = False
+    size = inside.shape[1], inside.shape[0]
+    turned = cv2.warpAffine(good[pieces].astype(np.uint8), back, size, flags=cv2.INTER_NEAREST)
+    return np.asarray((turned > 0) & ~inside & ~taken, bool)
+
+
+def _enclosed(mask: BoolArray) -> BoolArray:
+    """Cells outside a mask that have it on two neighbouring sides, along rows and along columns."""
+    up = np.logical_or.accumulate(mask, axis=0)
+    down = np.logical_or.accumulate(mask[::-1], axis=0)[::-1]
+    left = np.logical_or.accumulate(mask, axis=1)
+    right = np.logical_or.accumulate(mask[:, ::-1], axis=1)[:, ::-1]
+    return np.asarray(~mask & (up | down) & (left | right), bool)
+
+
+def _turn_to_walls(inside: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Affine maps (2, 3) of cells x, y into an image whose rows run along the main axis, and back.
+
+    The second maps as `cv2.warpAffine` takes it: from the turned image to the part of the grid.
+    """
+    edges = [
+        LineSegment(np.stack([a, b]), 1.0)
+        for polygon in trace_outlines(inside, 1.5).polygons()
+        for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True)
+    ]
+    axis = main_axes(tuple(edges))[0]
+    # Quarter turns change nothing: the smallest one
+    angle = (np.arctan2(axis[1], axis[0]) + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    height, width = inside.shape
+    if abs(angle) * max(height, width) < 1.0:
+        angle = 0.0
+    c, s = np.cos(angle), np.sin(angle)
+    rotation = np.array([[c, s], [-s, c]])
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], float) @ rotation.T
+    low = np.floor(corners.min(axis=0))
+    there = np.concatenate([rotation, -low[:, None]], axis=1)
+    return there, cv2.invertAffineTransform(there)
+
+
+def _turned(image: BoolArray, there: FloatArray) -> BoolArray:
+    height, width = image.shape
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], float)
+    extent = np.ceil((corners @ there[:, :2].T + there[:, 2]).max(axis=0)).astype(int) + 1
+    turned = cv2.warpAffine(image.astype(np.uint8), there, extent.tolist(), flags=cv2.INTER_NEAREST)
+    return turned > 0
