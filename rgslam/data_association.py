@@ -80,6 +80,7 @@ class FramePose:
     covariance: FloatArray  # (3, 3), relative to its keyframe, tangent at wTb
     camera: StereoCamera
     bTc: FloatArray  # (4, 4)
+    mount_covariance: FloatArray | None = None  # (6, 6), of bTc; None = known
 
     @property
     def wTc(self) -> FloatArray:
@@ -155,6 +156,8 @@ class DataAssociation:
         predicted, by_point, by_pose = project_points(centres, pose)
         noise = by_pose @ moves @ by_pose.transpose(0, 2, 1)
         noise += by_point @ turns @ moved @ (by_point @ turns).transpose(0, 2, 1)
+        by_mount = mount_slopes(centres, by_point, pose)
+        noise += by_mount @ _unknown_mount(pose) @ by_mount.transpose(0, 2, 1)
         known = np.flatnonzero(np.isfinite(predicted).all(axis=1) & np.isfinite(noise).all((1, 2)))
         for j, sight in enumerate(sights):
             facing = normals[known] @ sight.state.wTr[:3, 2] > 0.0  # not from the other side
@@ -173,11 +176,14 @@ class DataAssociation:
     ) -> _Candidate | None:
         """The best of the four orders of corners, or None outside the gate."""
         track = self.tracks[number].state
-        predicted, by_corners, by_pose = project(track.corners, pose)
+        predicted, by_point, by_pose = project_points(track.corners, pose)
         if not np.isfinite(predicted).all():
             return None
-        slopes = by_corners @ track.corner_slopes
+        slopes = (by_point @ track.corner_slopes.reshape(4, 3, 8)).reshape(_MEASURED, 8)
+        by_mount = mount_slopes(track.corners, by_point, pose).reshape(_MEASURED, 6)
         spread = slopes @ track.covariance @ slopes.T
+        spread += by_mount @ _unknown_mount(pose) @ by_mount.T
+        by_pose = by_pose.reshape(_MEASURED, 3)
         best = None
         for turns in range(4):
             seen = sight.corners.turned(turns)
@@ -324,6 +330,28 @@ def project_points(
     ways[:, :2, 0], ways[:, :2, 1] = [c, s], [-s, c]
     ways[:, 0, 2], ways[:, 1, 2] = -arm[:, 1], arm[:, 0]
     return pixels, by_point, -by_point @ ways
+
+
+def mount_slopes(w_points: FloatArray, by_point: FloatArray, pose: FramePose) -> FloatArray:
+    """Derivatives (n, 3, 6) of the pixels by the camera's mount (tangent of gtsam.Pose3).
+
+    Args:
+        w_points: (n, 3).
+        by_point: (n, 3, 3), their derivatives by the points (`project_points`).
+        pose: of the frame.
+    """
+    wTc = pose.wTc
+    x, y, z = ((w_points - wTc[:3, 3]) @ wTc[:3, :3]).T
+    ways = np.zeros((len(w_points), 3, 6))
+    ways[:, :, 3:] = -np.eye(3)
+    ways[:, 0, 1], ways[:, 0, 2], ways[:, 1, 2] = -z, y, -x
+    ways[:, 1, 0], ways[:, 2, 0], ways[:, 2, 1] = z, -y, x
+    return by_point @ wTc[:3, :3] @ ways
+
+
+def _unknown_mount(pose: FramePose) -> FloatArray:
+    """Covariance (6, 6) of what the mount adds between a track and a sight: it erred in both."""
+    return np.zeros((6, 6)) if pose.mount_covariance is None else 2.0 * pose.mount_covariance
 
 
 def overlap(one: RectangleState, other: RectangleState) -> float:

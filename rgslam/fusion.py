@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 from scipy.special import chdtri
 
-from rgslam.config import Config
+from rgslam.config import Config, FactorGraphConfig
 from rgslam.data_association import (
     DataAssociation,
     FramePose,
@@ -44,12 +44,14 @@ from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
 from rgslam.rectangles.cuboid_landmarks import fit_cuboids
 from rgslam.rectangles.fitted_cuboid import FittedCuboid
-from rgslam.types import EdgeKind, FloatArray, PoseEdge
+from rgslam.types import CameraMount, EdgeKind, FloatArray, PoseEdge
 
 #: Solve, take out what does not fit, solve again: so often at most.
 _ROUNDS = 4
 #: Association by the poses without rectangles, and once more by those with them.
 _PASSES = 2
+#: A camera that sits elsewhere than it says is found from what fits at first; more fits then.
+_CALIBRATION_PASSES = 4
 _MEASURED = 12  # x left, x right, y of four corners
 
 
@@ -74,6 +76,7 @@ class Fusion:
     cuboids: tuple[FittedCuboid, ...]  # their faces are numbers of landmarks
     counts: Mapping[str, int]  # decisions, by what was decided
     marginals: JointMarginals  # of all variables, for who wants to know more
+    mounts: tuple[CameraMount, ...] = ()  # of the cameras, where they are not taken as given
 
 
 def fuse_landmarks(
@@ -95,8 +98,10 @@ def fuse_landmarks(
     # Which sight is which rectangle: by the poses so far, and again by what they made of them
     tracks: list[Track] = []
     start = keyframes
-    for _ in range(_PASSES):
-        poses = [frame_pose(frame, start[frame.keyframe]) for frame in frames]
+    calibrate = config.factor_graph.calibrate
+    mounts = _given_mounts(frames, config.factor_graph) if calibrate else ()
+    for _ in range(_CALIBRATION_PASSES if calibrate else _PASSES):
+        poses = [frame_pose(frame, start[frame.keyframe], mounts) for frame in frames]
         shared = [*edges, *covisibility_edges(frames, poses, tracks, start)]
         association = associate(frames, poses, start, shared, config)
         counts = association.counts
@@ -106,12 +111,15 @@ def fuse_landmarks(
         for _ in range(_ROUNDS):
             graph = build_graph(start, edges, frames, poses, tracks, config)
             values = graph.optimise()
+            poses = _remounted(poses, frames, graph, values)
             kept = _consistent(values, poses, tracks, config, counts)
             if _sight_count(kept) == _sight_count(tracks):
                 break
             tracks = kept
         keys = [keyframe_key(k) for k in range(len(keyframes))]
         start = np.array([planar(values.atPose3(key)) for key in keys])
+        if calibrate:
+            mounts = JointMarginals(graph, values).mounts()
 
     marginals = JointMarginals(graph, values)
     covariances = np.array([marginals.planar_pose(key) for key in keys])
@@ -124,7 +132,7 @@ def fuse_landmarks(
     corners = np.array([landmark.state.corners for landmark in landmarks]).reshape(-1, 4, 3)
     cuboids = fit_cuboids(corners, marginals.corner_covariance)
     counts.update(tracks=len(association.tracks), landmarks=len(landmarks), cuboids=len(cuboids))
-    return Fusion(start, covariances, landmarks, cuboids, dict(counts), marginals)
+    return Fusion(start, covariances, landmarks, cuboids, dict(counts), marginals, mounts)
 
 
 def _sight_count(tracks: Sequence[Track]) -> int:
@@ -180,15 +188,50 @@ def covisibility_edges(
     return edges
 
 
-def frame_pose(frame: PlacedFrame, keyframe: FloatArray) -> FramePose:
-    """Where a frame was taken, by the pose (3,) of its keyframe."""
+def frame_pose(
+    frame: PlacedFrame, keyframe: FloatArray, mounts: Sequence[CameraMount] = ()
+) -> FramePose:
+    """Where a frame was taken, by the pose (3,) of its keyframe, with the camera as it is mounted.
+
+    Args:
+        frame: the frame.
+        keyframe: (3,), pose of its keyframe.
+        mounts: of the cameras that sit elsewhere than given.
+    """
+    seen = frame.observations
+    mount = next((m for m in mounts if np.array_equal(m.given_bTc, seen.bTc)), None)
     return FramePose(
         frame.keyframe,
         compose(keyframe, frame.kTb),
         frame.covariance,
-        frame.observations.camera,
-        frame.observations.bTc,
+        seen.camera,
+        seen.bTc if mount is None else mount.bTc,
+        None if mount is None else mount.covariance,
     )
+
+
+def _given_mounts(
+    frames: Sequence[PlacedFrame], config: FactorGraphConfig
+) -> tuple[CameraMount, ...]:
+    """The mounts as the recording says, as sure as they are before anything was seen."""
+    different = {frame.observations.bTc.tobytes(): frame.observations.bTc for frame in frames}
+    sigmas = np.repeat([np.radians(config.mount_turn_deg), config.mount_shift], 3)
+    return tuple(CameraMount(bTc, bTc, np.diag(sigmas**2)) for bTc in different.values())
+
+
+def _remounted(
+    poses: Sequence[FramePose],
+    frames: Sequence[PlacedFrame],
+    graph: JointGraph,
+    values: gtsam.Values,
+) -> list[FramePose]:
+    """Poses of the frames with the camera where the graph has it."""
+    if not graph.mounted or not graph.config.calibrate:
+        return list(poses)
+    return [
+        replace(pose, bTc=graph.mount(pose.camera, frame.observations.bTc, values))
+        for pose, frame in zip(poses, frames, strict=True)
+    ]
 
 
 def seen_from(table: EdgeTable, pose: FramePose, keyframes: FloatArray) -> FloatArray:
@@ -239,7 +282,8 @@ def build_graph(
         for sight, turns in zip(track.sights, track.turns, strict=True):
             pose = poses[sight.frame]
             corners = sight.corners.turned(turns)
-            graph.add_sight(frame_key(sight.frame), number, corners, pose.camera, pose.bTc)
+            given = frames[sight.frame].observations.bTc
+            graph.add_sight(frame_key(sight.frame), number, corners, pose.camera, given)
     return graph
 
 

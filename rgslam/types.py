@@ -281,6 +281,21 @@ class Cuboid:
 
 
 @dataclass(frozen=True, eq=False)
+class CameraMount:
+    """Where a stereo camera sits on the robot, as the run shows it."""
+
+    given_bTc: FloatArray  # (4, 4), as the recording says
+    bTc: FloatArray  # (4, 4), as found
+    covariance: FloatArray  # (6, 6), tangent of gtsam.Pose3 at bTc (rotation, translation)
+
+    @property
+    def b_covariance(self) -> FloatArray:
+        """(6, 6), of small turns about the robot's axes, and of the camera's place in its frame."""
+        turn = np.kron(np.eye(2), self.bTc[:3, :3])
+        return np.asarray(turn @ self.covariance @ turn.T)
+
+
+@dataclass(frozen=True, eq=False)
 class Segmentation:
     """Regions and gateways of an occupancy grid."""
 

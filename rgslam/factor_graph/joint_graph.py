@@ -24,9 +24,10 @@ import numpy as np
 
 from rgslam.camera import StereoCamera
 from rgslam.config import FactorGraphConfig
+from rgslam.factor_graph.camera_mount import corner_factors, left_key, mount_factors, mount_values
 from rgslam.factor_graph.rectangle_shape import RectangleKeys, shape_factors, shape_values
 from rgslam.factor_graph.stereo_corners import StereoCorners
-from rgslam.types import EdgeKind, FloatArray, PoseEdge
+from rgslam.types import CameraMount, EdgeKind, FloatArray, PoseEdge
 
 _GAUGE_SIGMA = 1e-6  # m, rad
 #: A direction nothing is known of: sigma in m or rad, small enough for double precision.
@@ -60,6 +61,22 @@ class RectangleMarginal:
     covariance: FloatArray  # (12, 12), m^2, of `corners.ravel()`
 
 
+@dataclass(frozen=True, eq=False)
+class _MountedCamera:
+    """A stereo camera, as factors take it."""
+
+    number: int
+    stereo: gtsam.Cal3_S2Stereo
+    left: gtsam.Cal3_S2
+    mount: gtsam.Pose3  # bTc as given
+
+    @classmethod
+    def of(cls, number: int, camera: StereoCamera, bTc: FloatArray) -> _MountedCamera:
+        c = camera
+        stereo = gtsam.Cal3_S2Stereo(c.fx, c.fy, 0.0, c.cx, c.cy, c.baseline)
+        return cls(number, stereo, gtsam.Cal3_S2(c.fx, c.fy, 0.0, c.cx, c.cy), gtsam.Pose3(bTc))
+
+
 class JointGraph:
     """Poses and rectangles, and everything measured between them."""
 
@@ -68,8 +85,7 @@ class JointGraph:
         self.config = config
         self.factors = gtsam.NonlinearFactorGraph()
         self.initial = gtsam.Values()
-        self._cameras: dict[tuple[StereoCamera, bytes], tuple[gtsam.Cal3_S2Stereo, gtsam.Pose3]]
-        self._cameras = {}
+        self._cameras: dict[tuple[StereoCamera, bytes], _MountedCamera] = {}
         self._loop_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.loop_kernel)
         tilt, height = np.radians(config.floor_tilt_deg), config.floor_height
         sigmas = np.array([tilt, tilt, _UNKNOWN, _UNKNOWN, _UNKNOWN, height])
@@ -151,13 +167,27 @@ class JointGraph:
         camera: StereoCamera,
         bTc: FloatArray,
     ) -> None:
-        """A stereo pair at a pose saw the four corners of a rectangle."""
-        calibration, mount = self._camera(camera, bTc)
+        """A stereo pair at a pose saw the four corners of a rectangle.
+
+        Args:
+            pose_key: who saw it.
+            number: of the rectangle.
+            corners: as it was seen.
+            camera: the pair.
+            bTc: (4, 4), where it sits on the robot; with `config.calibrate` the mean of the prior.
+        """
+        seen_by = self._camera(camera, bTc)
         for i, key in enumerate(corner_keys(number)):
+            if self.config.calibrate:
+                ends = pose_key, key, seen_by.number
+                self.factors.push_back(corner_factors(*ends, corners, i, seen_by.left))
+                continue
             noise = gtsam.noiseModel.Gaussian.Covariance(corners.covariances[i])
             point = gtsam.StereoPoint2(*corners.measured[i])
             self.factors.add(
-                gtsam.GenericStereoFactor3D(point, noise, pose_key, key, calibration, mount)
+                gtsam.GenericStereoFactor3D(
+                    point, noise, pose_key, key, seen_by.stereo, seen_by.mount
+                )
             )
 
     def add_plane_sight(
@@ -181,15 +211,28 @@ class JointGraph:
         frame = RectangleKeys.of(number).frame
         self.factors.add(gtsam.BetweenFactorPose3(pose_key, frame, bTr, noise))
 
-    def _camera(
-        self, camera: StereoCamera, bTc: FloatArray
-    ) -> tuple[gtsam.Cal3_S2Stereo, gtsam.Pose3]:
+    def _camera(self, camera: StereoCamera, bTc: FloatArray) -> _MountedCamera:
         key = (camera, np.ascontiguousarray(bTc).tobytes())
         if key not in self._cameras:
-            c = camera
-            calibration = gtsam.Cal3_S2Stereo(c.fx, c.fy, 0.0, c.cx, c.cy, c.baseline)
-            self._cameras[key] = calibration, gtsam.Pose3(bTc)
+            number = len(self._cameras)
+            self._cameras[key] = _MountedCamera.of(number, camera, bTc)
+            if self.config.calibrate:
+                turn, shift = np.radians(self.config.mount_turn_deg), self.config.mount_shift
+                sigmas = np.repeat([turn, shift], 3)
+                self.factors.push_back(mount_factors(number, camera, bTc, sigmas))
+                self.initial.insert(mount_values(number, camera, bTc))
         return self._cameras[key]
+
+    @property
+    def mounted(self) -> tuple[gtsam.Pose3, ...]:
+        """Where the cameras sit on the robot, as given; by number."""
+        return tuple(camera.mount for camera in self._cameras.values())
+
+    def mount(self, camera: StereoCamera, bTc: FloatArray, values: gtsam.Values) -> FloatArray:
+        """Where a camera that was given at `bTc` sits according to `values`, (4, 4)."""
+        if not self.config.calibrate:
+            return bTc
+        return np.asarray(values.atPose3(left_key(self._camera(camera, bTc).number)).matrix())
 
     # --- Estimates ---------------------------------------------------------------------------
 
@@ -213,12 +256,25 @@ class JointMarginals:
     def __init__(self, graph: JointGraph, values: gtsam.Values) -> None:
         """Eliminate the graph at `values`."""
         self._values = values
+        self._mounted = graph.mounted if graph.config.calibrate else ()
         self._marginals = gtsam.Marginals(graph.factors, values)
 
     def planar_pose(self, key: int) -> FloatArray:
         """Covariance (3, 3) of a pose on the floor, in its own frame: x, y, theta."""
         covariance = self._marginals.marginalCovariance(key)
         return np.asarray(covariance[np.ix_(_PLANAR, _PLANAR)])
+
+    def mounts(self) -> tuple[CameraMount, ...]:
+        """Where the cameras sit, as found; none where that is taken as given."""
+        keys = [left_key(number) for number in range(len(self._mounted))]
+        return tuple(
+            CameraMount(
+                given.matrix(),
+                self._values.atPose3(key).matrix(),
+                np.asarray(self._marginals.marginalCovariance(key)),
+            )
+            for key, given in zip(keys, self._mounted, strict=True)
+        )
 
     def correlation(self, number: int, key: int) -> float:
         """How much a rectangle's place and a pose err alike, 0..1.
