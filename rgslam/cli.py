@@ -198,6 +198,9 @@ def map_recording(
         Path | None, typer.Option("--config", help="YAML file; what it leaves out is default.")
     ] = None,
     topic: Topics = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Find where the stereo camera really sits.")
+    ] = False,
 ) -> None:
     """Turn a recorded run into a region & gateway map.
 
@@ -213,6 +216,7 @@ def map_recording(
 
     # What is wrong with the input is said before the heavy libraries are loaded.
     settings = Config() if config is None else Config.from_yaml(config)
+    settings = settings.calibrating() if calibrate else settings
     run = open_recording(recording, _topics(topic))
 
     from rgslam.cli_output import StageProgress, print_map_summary

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -26,7 +27,7 @@ from rich.text import Text
 
 from rgslam.rectangle_words import RECTANGLE_HEAD, largest_first, rectangle_rows
 from rgslam.rg_map import RGMap
-from rgslam.types import Rectangle
+from rgslam.types import CameraMount, Rectangle
 
 if TYPE_CHECKING:
     from rgslam.metrics import Evaluation
@@ -103,6 +104,27 @@ class StageProgress:
         self._bars.update(self._tasks[stage], completed=done, total=total)
 
 
+def _mount_table(mount: CameraMount) -> Table:
+    """What the mount of a camera was off by, in the robot's frame."""
+    from scipy.spatial.transform import Rotation
+
+    given, found = mount.given_bTc, mount.bTc
+    turn = Rotation.from_matrix(found[:3, :3] @ given[:3, :3].T).as_rotvec(degrees=True)
+    shift = 100.0 * (found[:3, 3] - given[:3, 3])
+    sigmas = np.sqrt(np.diagonal(mount.b_covariance))
+    table = Table(title="The camera's mount, found minus given", title_justify="left")
+    for name in ("", "x", "y", "z"):
+        table.add_column(name, justify="right")
+    for name, values, errors, unit in (
+        ("turned about", turn, np.degrees(sigmas[:3]), "°"),
+        ("shifted along", shift, 100.0 * sigmas[3:], " cm"),
+    ):
+        cells = [f"{v:.2f} ± {e:.2f}{unit}" for v, e in zip(values, errors, strict=True)]
+        table.add_row(name, *cells)
+    table.caption = "A robot on a floor cannot tell the height (z): it stays as given."
+    return table
+
+
 def print_map_summary(rg_map: RGMap, console: Console | None = None) -> None:
     """Print counts and seconds per stage of a map, then what was wrong with the recording."""
     console = console or Console()
@@ -119,6 +141,8 @@ def print_map_summary(rg_map: RGMap, console: Console | None = None) -> None:
     console.print(table)
     if rg_map.rectangles:
         console.print(_rectangle_table(rg_map.rectangles))
+    for mount in rg_map.camera_mounts:
+        console.print(_mount_table(mount))
     errors = Console(stderr=True)
     for warning in run.warnings:
         errors.print(f"warning: {warning}", markup=False, highlight=False, soft_wrap=True)

@@ -260,6 +260,11 @@ class Config(StageConfig):
                 f"{path}: {place}: {first['msg']} (got {first['input']!r})"
             ) from error
 
+    def calibrating(self) -> Config:
+        """The same with the camera's mount as a variable (`--calibrate`)."""
+        section = self.factor_graph.model_copy(update={"calibrate": True})
+        return self.model_copy(update={"factor_graph": section})
+
     def to_yaml(self) -> str:
         """The whole configuration as YAML, defaults written out."""
         return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)

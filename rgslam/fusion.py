@@ -99,7 +99,7 @@ def fuse_landmarks(
     tracks: list[Track] = []
     start = keyframes
     calibrate = config.factor_graph.calibrate
-    mounts = _given_mounts(frames, config.factor_graph) if calibrate else ()
+    mounts = given_mounts(frames, config.factor_graph) if calibrate else ()
     for _ in range(_CALIBRATION_PASSES if calibrate else _PASSES):
         poses = [frame_pose(frame, start[frame.keyframe], mounts) for frame in frames]
         shared = [*edges, *covisibility_edges(frames, poses, tracks, start)]
@@ -210,13 +210,30 @@ def frame_pose(
     )
 
 
-def _given_mounts(
+def given_mounts(
     frames: Sequence[PlacedFrame], config: FactorGraphConfig
 ) -> tuple[CameraMount, ...]:
     """The mounts as the recording says, as sure as they are before anything was seen."""
     different = {frame.observations.bTc.tobytes(): frame.observations.bTc for frame in frames}
     sigmas = np.repeat([np.radians(config.mount_turn_deg), config.mount_shift], 3)
     return tuple(CameraMount(bTc, bTc, np.diag(sigmas**2)) for bTc in different.values())
+
+
+def mounted_frames(
+    frames: Sequence[PlacedFrame], mounts: Sequence[CameraMount]
+) -> list[PlacedFrame]:
+    """Frames whose camera sits where it was found to."""
+    found = {mount.given_bTc.tobytes(): mount.bTc for mount in mounts}
+    return [
+        replace(
+            frame,
+            observations=replace(
+                frame.observations,
+                bTc=found.get(frame.observations.bTc.tobytes(), frame.observations.bTc),
+            ),
+        )
+        for frame in frames
+    ]
 
 
 def _remounted(

@@ -27,7 +27,7 @@ from rgslam.observations import FrameObservations, PlacedFrame, RunMessage, obse
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
 from rgslam.regions import fit_to_scans, segment_grid
-from rgslam.rg_map import RGMap, RunInfo
+from rgslam.rg_map import RGMap, RunInfo, mount_details
 from rgslam.scan_hits import hits_of
 from rgslam.scan_matching import SURFACE, LaserGeometry, ScanPoints, ScanStore, scan_points
 from rgslam.stage_clock import StageClock
@@ -389,12 +389,13 @@ class Mapper:
         fusion: Fusion | None = None
         seen = any(frame.observations.rectangles for frame in frames)
         if seen and self.config.data_association.enabled:
-            from rgslam.fusion import fuse_landmarks
+            from rgslam.fusion import fuse_landmarks, mounted_frames
 
             with self.clock.stage("fusion"):
                 tell("fusion", 0, 1)
                 fusion = fuse_landmarks(self._poses, self._graph.edges, frames, self.config)
                 self._poses, covariances = fusion.keyframes, fusion.covariances
+                frames = mounted_frames(frames, fusion.mounts)
                 tell("fusion", 1, 1)
         trajectory = self.trajectory()
         with self.clock.stage("occupancy grid"):
@@ -440,6 +441,7 @@ class Mapper:
                 details={
                     "loops": self._loop_details(),
                     "fusion": dict(fusion.counts) if fusion is not None else {},
+                    "camera_mounts": [] if fusion is None else mount_details(fusion.mounts),
                 },
             ),
         )

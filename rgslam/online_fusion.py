@@ -15,19 +15,21 @@ import numpy as np
 
 from rgslam.config import Config
 from rgslam.data_association import DataAssociation, RectangleState, Track
+from rgslam.factor_graph.camera_mount import left_key
 from rgslam.factor_graph.joint_graph import (
     JointGraph,
+    MountedCameras,
     corner_keys,
     frame_key,
     keyframe_key,
     planar,
     spatial,
 )
-from rgslam.fusion import frame_pose, seen_from, sights_of, state_covariance, state_of
+from rgslam.fusion import frame_pose, given_mounts, seen_from, sights_of, state_covariance, state_of
 from rgslam.geometry import compose
 from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
-from rgslam.types import FloatArray, PoseEdge
+from rgslam.types import CameraMount, FloatArray, PoseEdge
 
 
 class OnlineFusion:
@@ -48,6 +50,7 @@ class OnlineFusion:
         self._framed: set[int] = set()  # frames with a pose variable
         self._numbers: dict[int, int] = {}  # number of the landmark by index of its track
         self._used: dict[int, int] = {}  # sights in the graph by index of the track
+        self._cameras: MountedCameras = {}
 
     def update(
         self,
@@ -74,6 +77,13 @@ class OnlineFusion:
     def keyframes(self) -> FloatArray:
         """Poses (K, 3) of the keyframes, wTb."""
         return np.array([self._keyframe(k) for k in range(self._keyframes)]).reshape(-1, 3)
+
+    def mounts(self) -> tuple[CameraMount, ...]:
+        """Where the cameras sit, as far as it is known; none where that is taken as given."""
+        if not self.config.factor_graph.calibrate:
+            return ()
+        mounted = self._cameras.values()
+        return tuple(self._mount(camera.given, left_key(camera.number)) for camera in mounted)
 
     # --- Pieces --------------------------------------------------------------------------------
 
@@ -115,11 +125,11 @@ class OnlineFusion:
         if not frame.observations.rectangles:
             return
         at = self._keyframe(frame.keyframe)
-        pose = frame_pose(frame, at)
+        pose = frame_pose(frame, at, self._mounts(frame))
         relative = seen_from(self._table, pose, self.keyframes())
         sights = sights_of(number, frame, pose)
         given = self._association.add_frame(pose, sights, relative)
-        graph = JointGraph(self.config.factor_graph)
+        graph = JointGraph(self.config.factor_graph, self._cameras)
         for index in sorted(set(given.values())):
             track = self._association.tracks[index]
             if len(track.sights) < self.config.data_association.min_sights:
@@ -155,6 +165,16 @@ class OnlineFusion:
                 frame.observations.bTc,
             )
         self._used[index] = len(track.sights)
+
+    def _mounts(self, frame: PlacedFrame) -> tuple[CameraMount, ...]:
+        """Of the frame's camera as far as it is known by now; none where it is taken as given."""
+        if not self.config.factor_graph.calibrate:
+            return ()
+        return (*self.mounts(), *given_mounts([frame], self.config.factor_graph))
+
+    def _mount(self, given: FloatArray, key: int) -> CameraMount:
+        bTc = np.asarray(self._isam.calculateEstimatePose3(key).matrix())
+        return CameraMount(given, bTc, np.asarray(self._isam.marginalCovariance(key)))
 
     def _keyframe(self, k: int) -> FloatArray:
         return planar(self._isam.calculateEstimatePose3(keyframe_key(k)))

@@ -33,6 +33,7 @@ from rgslam.map_folder import check_replaceable, write_folder
 from rgslam.map_json import decode_rg_map, encode_rg_map
 from rgslam.observations import PlacedFrame
 from rgslam.types import (
+    CameraMount,
     Cuboid,
     Gateway,
     Keyframes,
@@ -61,6 +62,14 @@ MAP_FILES = frozenset(
         "run.json",
     }
 )
+
+
+_MOUNT_KEYS = ("given_bTc", "bTc", "covariance")
+
+
+def mount_details(mounts: Sequence[CameraMount]) -> list[dict[str, Any]]:
+    """Camera mounts for `RunInfo.details`."""
+    return [{key: getattr(mount, key).tolist() for key in _MOUNT_KEYS} for mount in mounts]
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,14 @@ class RGMap:
     frames: tuple[PlacedFrame, ...] = ()  # what every stereo pair shows, and from where
     rectangles: tuple[Rectangle, ...] = ()
     cuboids: tuple[Cuboid, ...] = ()
+
+    @property
+    def camera_mounts(self) -> tuple[CameraMount, ...]:
+        """Where the cameras sit, as found with `factor_graph.calibrate`; else empty."""
+        return tuple(
+            CameraMount(*(np.array(mount[key]) for key in _MOUNT_KEYS))
+            for mount in self.run.details.get("camera_mounts", ())
+        )
 
     def region(self, region_id: int) -> Region:
         """The region of that id.

@@ -70,6 +70,11 @@ class _MountedCamera:
     left: gtsam.Cal3_S2
     mount: gtsam.Pose3  # bTc as given
 
+    @property
+    def given(self) -> FloatArray:
+        """`mount` as a matrix (4, 4)."""
+        return np.asarray(self.mount.matrix())
+
     @classmethod
     def of(cls, number: int, camera: StereoCamera, bTc: FloatArray) -> _MountedCamera:
         c = camera
@@ -77,15 +82,25 @@ class _MountedCamera:
         return cls(number, stereo, gtsam.Cal3_S2(c.fx, c.fy, 0.0, c.cx, c.cy), gtsam.Pose3(bTc))
 
 
+#: By camera and its mount as given.
+MountedCameras = dict[tuple[StereoCamera, bytes], _MountedCamera]
+
+
 class JointGraph:
     """Poses and rectangles, and everything measured between them."""
 
-    def __init__(self, config: FactorGraphConfig) -> None:
-        """An empty graph."""
+    def __init__(self, config: FactorGraphConfig, cameras: MountedCameras | None = None) -> None:
+        """An empty graph.
+
+        Args:
+            config: sigmas and kernels.
+            cameras: whose mounts are variables already, of a graph that grows by parts; those that
+                come new are added to it.
+        """
         self.config = config
         self.factors = gtsam.NonlinearFactorGraph()
         self.initial = gtsam.Values()
-        self._cameras: dict[tuple[StereoCamera, bytes], _MountedCamera] = {}
+        self._cameras: MountedCameras = {} if cameras is None else cameras
         self._loop_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.loop_kernel)
         tilt, height = np.radians(config.floor_tilt_deg), config.floor_height
         sigmas = np.array([tilt, tilt, _UNKNOWN, _UNKNOWN, _UNKNOWN, height])
