@@ -215,9 +215,10 @@ class RectangleConfig(StageConfig):
     max_direction_sigma_deg: float = Field(2.0, gt=0.0)
     min_similarity: float = Field(0.3, ge=-1.0, le=1.0)  # of the borders in both images
     # Depth images: noise of the inverse depth (1/m; 1.5 mm at 1 m, as structured light has), error
-    # of their scale, and shares of a rectangle's inside that must be known and lie on its plane.
+    # of their scale at a corner (makers calibrate to about 1 %), and shares of a rectangle's inside
+    # that must be known and lie on its plane.
     inverse_depth_sigma: float = Field(0.0015, gt=0.0)
-    depth_scale_sigma: float = Field(0.005, ge=0.0)
+    depth_scale_sigma: float = Field(0.01, ge=0.0)
     min_known_depth: float = Field(0.3, gt=0.0, le=1.0)
     min_on_plane: float = Field(0.5, gt=0.0, le=1.0)
     max_relative_sigma: float = Field(0.15, gt=0.0)  # of width and height

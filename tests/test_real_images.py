@@ -12,6 +12,7 @@ from real_images import (
     cabinet_views,
     corner_errors_2d,
     score_annotated,
+    score_cabinet_faces,
     score_chessboard,
     york_urban_angles,
 )
@@ -60,6 +61,8 @@ def test_vanishing_directions_of_york_urban(vision: Path) -> None:
 
 def test_cabinet_of_all_views(vision: Path) -> None:
     views, truth = cabinet_views(vision)
+    faces = score_cabinet_faces(views, truth)
+    assert np.mean([face.size_error <= 0.03 for face in faces]) >= 0.7
     (box,) = fuse_cuboids(views)
     assert np.abs(np.sort(box.size) - np.sort(truth["size_m"])).max() <= 0.02
     corners = np.array(truth["corners_world_m"])

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 
 import numpy as np
@@ -18,7 +17,6 @@ from rgslam.rectangles.detection import (
     Detection,
     estimated,
     from_lower_left,
-    of_rectangular_shape,
 )
 from rgslam.rectangles.gradients import gradient_image
 from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
@@ -33,12 +31,16 @@ from rgslam.rectangles.rivals import without_rivals
 from rgslam.rectangles.verification import rectangle_probability
 from rgslam.types import FloatArray
 
+# Internal angles from this on: where depth gives the plane, the sides need not tell it by their
+# vanishing points, and a corner that two lines at a small angle leave vague says so by itself.
+_ASLANT_DEG = 5.0
 _GRID = 12  # samples each way inside a quadrangle
 _MARGIN = 0.06  # of the side that is left out: depth images are wrong next to an edge
 _OUTSIDE = 1.12  # of the way from the middle to the border: just beyond it
-# Half of the things stand out of a wall or end a box, the others hang flat; of the edges that
-# chance puts together, a third are edges of depth. Share that ends the plane, and its opposite.
-_ENDS, _ENDS_BY_CHANCE = (0.5, 0.5), (0.3, 0.7)
+# Half of the things stand out of a wall or end a box, so that their plane ends at every side; the
+# others hang flat on it. Of a thing's sides one in ten is read wrongly (something close beside it,
+# no depth at the edge). Of the sides that chance puts together, a third are edges of depth.
+_STANDS_OUT, _MISREAD, _ENDS_BY_CHANCE = 0.5, 0.1, 0.3
 _CORRELATED = 9.0  # neighbouring depths come from one matching window: so many count as one
 
 
@@ -65,13 +67,15 @@ def detect_with_depth(
             f"image {image.shape}, depth {depth.shape} and camera "
             f"{(camera.height, camera.width)} differ in size"
         )
-    section = config.rectangles
+    aslant = min(_ASLANT_DEG, config.rectangles.parallel_deg, config.rectangles.min_angle_deg)
+    section = config.rectangles.model_copy(update={"parallel_deg": aslant, "min_angle_deg": aslant})
     rejected: Counter[Rejection] = Counter()
     gradient = gradient_image(image)
     lines = lines_of_gradient(image, gradient, section)
     quads = find_quadrangles(lines, gradient, section)
     rejected.update(quads.rejected)
-    quads = of_rectangular_shape(from_lower_left(quads), camera, config, rejected)
+    # Whether sides meet at right angles is asked in space, where depth has a say (the cost).
+    quads = from_lower_left(quads)
     found: tuple[DetectedRectangle, ...] = ()
     if len(quads):
         found = _measured(quads, depth, camera, section, rejected)
@@ -195,10 +199,12 @@ def plane_ends(
 
 def _end_log_odds(ended: FloatArray) -> FloatArray:
     """What it says (k,) for a rectangle that its plane ends, or goes on, at its sides (k, 4)."""
-    ends, goes_on = (
-        math.log(own / other) for own, other in zip(_ENDS, _ENDS_BY_CHANCE, strict=True)
-    )
-    return np.where(ended > 0.5, ends, np.where(ended <= 0.5, goes_on, 0.0)).sum(axis=1)
+    ends, goes_on = (ended > 0.5).sum(axis=1), (ended <= 0.5).sum(axis=1)
+    right, wrong = 1.0 - _MISREAD, _MISREAD
+    thing = _STANDS_OUT * right**ends * wrong**goes_on
+    thing += (1.0 - _STANDS_OUT) * right**goes_on * wrong**ends
+    by_chance = _ENDS_BY_CHANCE**ends * (1.0 - _ENDS_BY_CHANCE) ** goes_on
+    return np.log(thing / by_chance)
 
 
 def _robust_plane(
