@@ -61,8 +61,7 @@ def close_quadrangles(
         config.min_side * diagonal,
         config.min_side_support,
     )
-    size = len(corners.valid)
-    order = np.argsort(arms[:, 0] * size + arms[:, 1], kind="stable")
+    order = _by_arms(arms, len(corners.valid))
     limits = np.array(
         [
             config.min_side * diagonal,
@@ -162,6 +161,22 @@ def _open_sides(
                     sides[total], arm[total, 0], arm[total, 1], shares[total] = j, a, b, share
                     total += 1
     return sides[:total].copy(), arm[:total].copy(), shares[:total].copy()
+
+
+@njit(cache=True)
+def _by_arms(arms: IntArray, size: int) -> IntArray:
+    """Order (n,) in which equal arms (n, 2) come one after the other, by counting."""
+    place = np.zeros(size * size + 1, dtype=np.int64)
+    for k in range(len(arms)):
+        place[arms[k, 0] * size + arms[k, 1] + 1] += 1
+    for key in range(size * size):
+        place[key + 1] += place[key]
+    order = np.empty(len(arms), dtype=np.int64)
+    for k in range(len(arms)):
+        key = arms[k, 0] * size + arms[k, 1]
+        order[place[key]] = k
+        place[key] += 1
+    return order
 
 
 @njit(cache=True)

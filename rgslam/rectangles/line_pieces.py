@@ -24,6 +24,7 @@ _BENT_PX = 1.0  # off the line so far: the edge bends here, or it is another one
 _MISSES = 2  # rows without an edge that noise may leave
 _SURE = 8  # pixels whose own line is better than the direction of their gradients
 _DENSE = 0.7  # share of rows with an edge
+_NONE = 9.0  # marks a pixel that is on no edge, or taken
 _LEVELS, _STRONGEST = 256, 128.0  # of strength, by which seeds are sorted; grey values per px
 
 
@@ -40,20 +41,21 @@ def edge_pieces(xy: npt.NDArray[np.float32], least: float, shortest: float) -> F
         Ends (n, 2, 2), px, to about a third of a pixel.
     """
     width = xy.shape[1]
-    free, seeds = _ridges(xy, np.float32(least * least))
+    crests, seeds = _ridges(xy, np.float32(least * least))
     found = np.empty((int(len(seeds) / (_DENSE * max(shortest, 2.0) / 1.5)) + 1, 2, 2))
     total = 0
     sums = np.empty(7)
     for seed in seeds:
         row, col = seed // width, seed % width
-        if not free[row, col]:
+        if crests[row, col] == _NONE:
             continue
         flat = abs(xy[row, col, 1]) > abs(xy[row, col, 0])
-        first, last = _walk(xy, free, row, col, flat, sums)
+        first, last = _walk(xy, crests, row, col, flat, sums)
         start = col if flat else row
         offset, slope = _line(sums, flat)
         steps = last - first
-        if math.hypot(1.0, slope) * steps < shortest or sums[0] < _DENSE * (steps + 1):
+        length = math.sqrt(1.0 + slope * slope) * steps
+        if length < shortest or sums[0] < _DENSE * (steps + 1):
             continue
         for end, u in enumerate((first, last)):
             v = offset + slope * (u - start)
@@ -65,10 +67,15 @@ def edge_pieces(xy: npt.NDArray[np.float32], least: float, shortest: float) -> F
 @njit(cache=True)
 def _ridges(
     xy: npt.NDArray[np.float32], least_square: np.float32
-) -> tuple[npt.NDArray[np.bool_], IntArray]:
-    """Where the gradient is greatest across an edge (h, w), and these pixels, strongest first."""
+) -> tuple[npt.NDArray[np.float32], IntArray]:
+    """Pixels where the gradient is greatest across an edge.
+
+    Returns:
+        By how much (h, w) its maximum is off a pixel's middle, px, across the edge (along the
+        image's axis that is nearer to that), _NONE elsewhere; and these pixels, strongest first.
+    """
     height, width = xy.shape[0], xy.shape[1]
-    free = np.zeros((height, width), dtype=np.bool_)
+    crests = np.full((height, width), np.float32(_NONE))
     at = np.empty(height * width, dtype=np.int32)
     level = np.empty(height * width, dtype=np.int16)
     count = np.zeros(_LEVELS + 1, dtype=np.int64)
@@ -79,17 +86,17 @@ def _ridges(
             square = gx * gx + gy * gy
             if square < least_square:
                 continue
-            if abs(gx) >= abs(gy):
-                ax, ay = xy[row, col - 1, 0], xy[row, col - 1, 1]
-                bx, by = xy[row, col + 1, 0], xy[row, col + 1, 1]
-            else:
-                ax, ay = xy[row - 1, col, 0], xy[row - 1, col, 1]
-                bx, by = xy[row + 1, col, 0], xy[row + 1, col, 1]
-            if square < ax * ax + ay * ay or square <= bx * bx + by * by:
+            down, right = (0, 1) if abs(gx) >= abs(gy) else (1, 0)
+            ax, ay = xy[row - down, col - right, 0], xy[row - down, col - right, 1]
+            bx, by = xy[row + down, col + right, 0], xy[row + down, col + right, 1]
+            before, after = ax * ax + ay * ay, bx * bx + by * by
+            if square < before or square <= after:
                 continue
-            free[row, col] = True
-            strength = int(math.sqrt(square) * (_LEVELS / _STRONGEST))
-            at[total], level[total] = row * width + col, _LEVELS - 1 - min(strength, _LEVELS - 1)
+            here, before, after = math.sqrt(square), math.sqrt(before), math.sqrt(after)
+            # Vertex of a parabola; its curvature is not zero as `after` is less than `here`.
+            crests[row, col] = 0.5 * (before - after) / (before - 2.0 * here + after)
+            strength = min(int(here * (_LEVELS / _STRONGEST)), _LEVELS - 1)
+            at[total], level[total] = row * width + col, _LEVELS - 1 - strength
             count[level[total] + 1] += 1
             total += 1
     place = np.cumsum(count)
@@ -97,12 +104,12 @@ def _ridges(
     for k in range(total):
         seeds[place[level[k]]] = at[k]
         place[level[k]] += 1
-    return free, seeds
+    return crests, seeds
 
 
 @njit(cache=True)
 def _walk(
-    xy: npt.NDArray[np.float32], free: npt.NDArray[np.bool_], row: int, col: int, flat: bool,
+    xy: npt.NDArray[np.float32], crests: npt.NDArray[np.float32], row: int, col: int, flat: bool,
     sums: FloatArray,
 ) -> tuple[int, int]:  # fmt: skip
     """First and last row (column, if flat) of the edge through a pixel; what it passes is taken.
@@ -113,7 +120,7 @@ def _walk(
     start = col if flat else row
     most = (xy.shape[1] if flat else xy.shape[0]) - 1
     sums[:] = 0.0
-    _take(xy, free, start, row if flat else col, start, flat, sums)
+    _take(xy, crests, start, row if flat else col, start, flat, sums)
     first, last = start, start
     for way in (-1, 1):
         u, missed = start, 0
@@ -122,11 +129,11 @@ def _walk(
             u += way
             if not 1 <= u < most:
                 break
-            v = _next(xy, free, u, offset + slope * (u - start), flat, sums)
+            v = _next(xy, crests, u, offset + slope * (u - start), flat, sums)
             if v < 0:
                 missed += 1
                 continue
-            _take(xy, free, u, v, start, flat, sums)
+            _take(xy, crests, u, v, start, flat, sums)
             offset, slope = _line(sums, flat)
             first, last, missed = min(first, u), max(last, u), 0
     return first, last
@@ -134,8 +141,8 @@ def _walk(
 
 @njit(cache=True)
 def _next(
-    xy: npt.NDArray[np.float32], free: npt.NDArray[np.bool_], u: int, expected: float, flat: bool,
-    sums: FloatArray,
+    xy: npt.NDArray[np.float32], crests: npt.NDArray[np.float32], u: int, expected: float,
+    flat: bool, sums: FloatArray,
 ) -> int:  # fmt: skip
     """Place across of the pixel of row (column) u that continues an edge, or -1."""
     most = (xy.shape[0] if flat else xy.shape[1]) - 1
@@ -145,26 +152,25 @@ def _next(
     limit = _ALIGNED * _ALIGNED * (gx * gx + gy * gy)
     for v in range(max(middle - 1, 1), min(middle + 2, most)):
         row, col = (v, u) if flat else (u, v)
-        if not free[row, col]:
+        crest = crests[row, col]
+        away = abs(v + crest - expected)
+        if crest == _NONE or away > nearest:
             continue
         hx, hy = xy[row, col, 0], xy[row, col, 1]
         dot = hx * gx + hy * gy
-        if dot <= 0.0 or dot * dot < limit * (hx * hx + hy * hy):
-            continue
-        away = abs(_crest(xy, row, col, flat) - expected)
-        if away <= nearest:
+        if dot > 0.0 and dot * dot >= limit * (hx * hx + hy * hy):
             best, nearest = v, away
     return best
 
 
 @njit(cache=True)
 def _take(
-    xy: npt.NDArray[np.float32], free: npt.NDArray[np.bool_], u: int, v: int, start: int,
+    xy: npt.NDArray[np.float32], crests: npt.NDArray[np.float32], u: int, v: int, start: int,
     flat: bool, sums: FloatArray,
 ) -> None:  # fmt: skip
     row, col = (v, u) if flat else (u, v)
-    free[row, col] = False
-    along, across = float(u - start), _crest(xy, row, col, flat)
+    along, across = float(u - start), v + float(crests[row, col])
+    crests[row, col] = _NONE
     sums[0] += 1.0
     sums[1] += along
     sums[2] += across
@@ -172,22 +178,6 @@ def _take(
     sums[4] += along * across
     sums[5] += xy[row, col, 0]
     sums[6] += xy[row, col, 1]
-
-
-@njit(cache=True)
-def _crest(xy: npt.NDArray[np.float32], row: int, col: int, flat: bool) -> float:
-    """Place of the greatest gradient across, px: vertex of a parabola."""
-    down, right = (1, 0) if flat else (0, 1)
-    before = _length(xy, row - down, col - right)
-    here, after = _length(xy, row, col), _length(xy, row + down, col + right)
-    curve = before - 2.0 * here + after
-    shift = 0.5 * (before - after) / curve if curve < 0.0 else 0.0
-    return (row if flat else col) + min(max(shift, -0.5), 0.5)
-
-
-@njit(cache=True)
-def _length(xy: npt.NDArray[np.float32], row: int, col: int) -> float:
-    return math.sqrt(xy[row, col, 0] * xy[row, col, 0] + xy[row, col, 1] * xy[row, col, 1])
 
 
 @njit(cache=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from rgslam.camera import PinholeCamera
 from rgslam.rectangles.least_squares import SIDE
-from rgslam.rectangles.plane_normal import plane_normal
+from rgslam.rectangles.plane_normal import cross, plane_normal
 from rgslam.rectangles.ray_plane import intersect_plane
 from rgslam.types import FloatArray
 
@@ -41,11 +41,11 @@ def rectangle_of_corners(c_corners: FloatArray) -> Starts:
     across = 0.5 * (c_corners[:, 3] - c_corners[:, 0] + c_corners[:, 2] - c_corners[:, 1])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         sizes = np.stack([np.linalg.norm(along, axis=-1), np.linalg.norm(across, axis=-1)], axis=-1)
-        z = np.cross(along, across)
+        z = cross(along, across)
         z /= np.linalg.norm(z, axis=-1, keepdims=True)
-        x = along / sizes[:, :1] + np.cross(across / sizes[:, 1:], z)
+        x = along / sizes[:, :1] + cross(across / sizes[:, 1:], z)
         x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    rotations = np.stack([x, np.cross(z, x), z], axis=-1)
+    rotations = np.stack([x, cross(z, x), z], axis=-1)
     return Starts(rotations, c_corners.mean(axis=1), sizes)
 
 
