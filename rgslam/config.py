@@ -63,6 +63,7 @@ class FactorGraphConfig(StageConfig):
     # Unevenness of floor and suspension: roll and pitch of the robot, and its height.
     floor_tilt_deg: float = Field(0.02, gt=0.0)
     floor_height: float = Field(0.0005, gt=0.0)  # m
+    plane_sights: bool = True  # where beams ended on a landmark tells its plane
     # The camera's mount as a variable, known beforehand as one measures by rule and eye.
     calibrate: bool = False
     mount_turn_deg: float = Field(2.0, gt=0.0)

@@ -42,9 +42,10 @@ from rgslam.factor_graph.stereo_corners import stereo_corners
 from rgslam.geometry import adjoint, adjoints, between, compose, inverse
 from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
+from rgslam.plane_sights import laser_plane_sights
 from rgslam.rectangles.cuboid_landmarks import fit_cuboids
 from rgslam.rectangles.fitted_cuboid import FittedCuboid
-from rgslam.types import CameraMount, EdgeKind, FloatArray, PoseEdge
+from rgslam.types import CameraMount, EdgeKind, FloatArray, LaserScan, PoseEdge
 
 #: Solve, take out what does not fit, solve again: so often at most.
 _ROUNDS = 4
@@ -84,6 +85,7 @@ def fuse_landmarks(
     edges: Sequence[PoseEdge],
     frames: Sequence[PlacedFrame],
     config: Config | None = None,
+    scans: Sequence[LaserScan] = (),
 ) -> Fusion:
     """Landmarks and poses from everything measured.
 
@@ -92,6 +94,7 @@ def fuse_landmarks(
         edges: what ties them.
         frames: what the stereo camera showed, in the order of the run.
         config: sections `data_association` and `factor_graph`.
+        scans: of the keyframes, if planes shall be looked for in them.
     """
     config = Config() if config is None else config
     section = config.data_association
@@ -120,6 +123,11 @@ def fuse_landmarks(
         start = np.array([planar(values.atPose3(key)) for key in keys])
         if calibrate:
             mounts = JointMarginals(graph, values).mounts()
+
+    # Where beams ended on landmarks tells their planes
+    if scans and config.factor_graph.plane_sights:
+        values, counts["plane sights"] = _with_planes(graph, values, len(tracks), scans)
+        start = np.array([planar(values.atPose3(key)) for key in keys])
 
     marginals = JointMarginals(graph, values)
     covariances = np.array([marginals.planar_pose(key) for key in keys])
@@ -302,6 +310,22 @@ def build_graph(
             given = frames[sight.frame].observations.bTc
             graph.add_sight(frame_key(sight.frame), number, corners, pose.camera, given)
     return graph
+
+
+def _with_planes(
+    graph: JointGraph, values: gtsam.Values, landmarks: int, scans: Sequence[LaserScan]
+) -> tuple[gtsam.Values, int]:
+    """The estimate with what the laser saw of the landmarks' planes, and how often it did."""
+    keyframes = np.array([planar(values.atPose3(keyframe_key(k))) for k in range(len(scans))])
+    states = [
+        state_of(np.array([values.atPoint3(key) for key in corner_keys(number)]), np.zeros((8, 8)))
+        for number in range(landmarks)
+    ]
+    sights = laser_plane_sights(states, scans, keyframes)
+    for sight in sights:
+        at = keyframe_key(sight.keyframe)
+        graph.add_plane_sight(at, sight.landmark, sight.bTr, sight.covariance)
+    return (graph.optimise(values) if sights else values), len(sights)
 
 
 def _consistent(

@@ -386,6 +386,7 @@ class Mapper:
             covariances = self._graph.covariances(self._poses)
             tell("optimisation", 2, 2)
         frames = self._frames.frames()
+        keyframe_scans = [self._track.scans[k] for k in self._keyframe_scans]
         fusion: Fusion | None = None
         seen = any(frame.observations.rectangles for frame in frames)
         if seen and self.config.data_association.enabled:
@@ -393,7 +394,9 @@ class Mapper:
 
             with self.clock.stage("fusion"):
                 tell("fusion", 0, 1)
-                fusion = fuse_landmarks(self._poses, self._graph.edges, frames, self.config)
+                fusion = fuse_landmarks(
+                    self._poses, self._graph.edges, frames, self.config, keyframe_scans
+                )
                 self._poses, covariances = fusion.keyframes, fusion.covariances
                 frames = mounted_frames(frames, fusion.mounts)
                 tell("fusion", 1, 1)
@@ -406,7 +409,6 @@ class Mapper:
             tell("regions and gateways", 0, 1)
             segmentation = segment_grid(grid, config=self.config, of_run=True)
             # Walls and posts where the beams ended, not where cells begin
-            keyframe_scans = [self._track.scans[k] for k in self._keyframe_scans]
             hits = hits_of(keyframe_scans, self._poses)
             segmentation = fit_to_scans(segmentation, hits, grid.resolution, self.config)
             gateways = detect_crossings(segmentation.gateways, trajectory)

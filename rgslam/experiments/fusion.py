@@ -13,6 +13,8 @@ import numpy as np
 
 from rgslam.config import Config
 from rgslam.experiments.json_values import to_json
+from rgslam.fusion import fuse_landmarks
+from rgslam.landmarks import describe_landmarks
 from rgslam.metrics.against_truth import trajectory_errors
 from rgslam.metrics.consistency import Nees, keyframe_errors, nees
 from rgslam.metrics.rectangles import (
@@ -52,6 +54,8 @@ class FusionScore:
     corner_median_cm: float
     corner_95_cm: float
     size_median_cm: float
+    corner_no_planes_cm: float  # medians without the planes that the laser saw
+    size_no_planes_cm: float
     landmark_nees: float  # mean; 8 degrees of freedom
     landmark_inside: float  # share inside their own 95 % region
     keyframe_nees: float  # mean; 3 degrees of freedom
@@ -81,6 +85,7 @@ class _Run:
     seed: int
     sights: ObservationErrors
     landmarks: LandmarkErrors
+    no_planes: LandmarkErrors
     keyframes: Nees
     ates: tuple[float, float, float, float]  # cm, in the order of `FusionScore`
 
@@ -133,13 +138,15 @@ def _score(
         other = _changed(config, loops, rectangles)
         replay = _Replay(recording, seen if rectangles else [])
         ates.append(_ate(build_map(replay, other, progress), truth))
+    wanted = expected_rectangles(truth)
+    fusion = fuse_landmarks(rg_map.keyframes.wTb, rg_map.edges, rg_map.frames, config)
+    no_planes, _ = describe_landmarks(fusion, rg_map.regions, config.landmarks)
     return _Run(
         world=recording.world.name,
         seed=truth.seed,
         sights=observation_errors(seen, truth),
-        landmarks=landmark_errors(
-            rg_map.rectangles, truth.rectangles, expected_rectangles(truth), start, start
-        ),
+        landmarks=landmark_errors(rg_map.rectangles, truth.rectangles, wanted, start, start),
+        no_planes=landmark_errors(no_planes, truth.rectangles, wanted, start, start),
         keyframes=nees(*keyframe_errors(rg_map.keyframes, truth.trajectory)),
         ates=(ates[0], ates[1], ates[2], ates[3]),
     )
@@ -180,7 +187,6 @@ class _Replay:
 def _row(runs: Sequence[_Run]) -> FusionScore:
     landmarks, sights = [run.landmarks for run in runs], [run.sights for run in runs]
     corners = np.concatenate([one.corner_error.ravel() for one in landmarks])
-    sizes = np.abs(np.concatenate([one.size_error.ravel() for one in landmarks]))
     ates = np.mean([run.ates for run in runs], axis=0)
     landmark_nees, landmark_inside = _consistency([one.nees for one in landmarks])
     keyframe_nees, keyframe_inside = _consistency([run.keyframes for run in runs])
@@ -201,7 +207,9 @@ def _row(runs: Sequence[_Run]) -> FusionScore:
         ),
         corner_median_cm=_quantile([corners], 0.5),
         corner_95_cm=_quantile([corners], 0.95),
-        size_median_cm=_quantile([sizes], 0.5),
+        size_median_cm=_quantile([np.abs(one.size_error) for one in landmarks], 0.5),
+        corner_no_planes_cm=_quantile([run.no_planes.corner_error for run in runs], 0.5),
+        size_no_planes_cm=_quantile([np.abs(run.no_planes.size_error) for run in runs], 0.5),
         landmark_nees=landmark_nees,
         landmark_inside=landmark_inside,
         keyframe_nees=keyframe_nees,

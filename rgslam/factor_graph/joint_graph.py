@@ -35,6 +35,7 @@ _UNKNOWN = 1e3
 #: Where x, y and theta of a planar pose stand among the six of a spatial one (rotation first).
 _PLANAR = np.array([3, 4, 2])
 _OFF_FLOOR = np.array([0, 1, 5])  # roll, pitch, height
+_OTHER_PLANE = 2.385  # sigmas, Cauchy's: 95 % efficient if all noise is Gaussian after all
 _OF_PLANE = np.array([0, 1, 5])  # in the frame of a rectangle: what moves its plane
 
 
@@ -210,6 +211,9 @@ class JointGraph:
     ) -> None:
         """The plane of a rectangle as seen from a pose, by other means than its corners.
 
+        What lies far off is another plane, as a leaf behind its frame is, and tells little: the
+        rectangle should be near its place before it is asked.
+
         Args:
             pose_key: who saw it.
             number: of the rectangle.
@@ -220,7 +224,7 @@ class JointGraph:
         full = _UNKNOWN**2 * np.eye(6)
         full[np.ix_(_OF_PLANE, _OF_PLANE)] = covariance
         noise = gtsam.noiseModel.Robust.Create(
-            gtsam.noiseModel.mEstimator.Huber.Create(1.345),
+            gtsam.noiseModel.mEstimator.Cauchy.Create(_OTHER_PLANE),
             gtsam.noiseModel.Gaussian.Covariance(full),
         )
         frame = RectangleKeys.of(number).frame
