@@ -21,6 +21,8 @@ _PUBLIC = {
     "Mapper": "rgslam.mapper",
     "load_map": "rgslam.rg_map",
     "RGMap": "rgslam.rg_map",
+    "load_region": "rgslam.region_map",
+    "RegionMap": "rgslam.region_map",
     "segment_grid": "rgslam.regions",
     "predict_scan": "rgslam.predicted_scan",
     "LaserModel": "rgslam.predicted_scan",
@@ -71,6 +73,8 @@ if TYPE_CHECKING:
     from rgslam.rectangles.next_best_view import next_best_view as next_best_view
     from rgslam.rectangles.possible_faces import RectangleView as RectangleView
     from rgslam.rectangles.reconstruct import reconstruct_rectangle as reconstruct_rectangle
+    from rgslam.region_map import RegionMap as RegionMap
+    from rgslam.region_map import load_region as load_region
     from rgslam.regions import segment_grid as segment_grid
     from rgslam.rg_map import RGMap as RGMap
     from rgslam.rg_map import load_map as load_map

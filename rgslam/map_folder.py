@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The rgslam authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Folders that are written whole or not at all.
+"""Folders and files that are written whole or not at all.
 
 A folder is first written beside its place, forced to the disk and then renamed into it, so that a
 reader sees the old map or the new one and a full disk costs nothing but the new one.
@@ -48,6 +48,25 @@ def write_folder(folder: Path | str, files: Mapping[str, bytes]) -> None:
         raise MapError(f"{folder}: cannot write the folder: {error}") from error
     finally:  # also on Ctrl-C: leave no half-written folder behind
         shutil.rmtree(new, ignore_errors=True)
+
+
+def replace_file(path: Path | str, content: bytes) -> None:
+    """Write one file, atomically; an earlier one is replaced.
+
+    Raises:
+        MapError: the machine refuses; what was there before is then untouched.
+    """
+    target = Path(path).resolve()
+    scratch = target.parent / f".{target.name}.{uuid.uuid4().hex[:8]}.new"
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _write_file(scratch, content)
+        scratch.replace(target)
+        _sync(target.parent)
+    except OSError as error:
+        raise MapError(f"{path}: cannot write the file: {error}") from error
+    finally:
+        scratch.unlink(missing_ok=True)
 
 
 def check_replaceable(folder: Path | str, names: Collection[str]) -> None:

@@ -32,9 +32,11 @@ from rgslam.types import (
 )
 
 FORMAT = "rgslam/rgmap"
+REGION_FORMAT = "rgslam/region"
 VERSION = 1
 
 _LENGTH_DECIMALS = 6
+_OWN_FRAME_DECIMALS = 12  # of a region's file: what was turned must turn back to the same
 _ANGLE_DECIMALS = 9
 _VARIANCE_DIGITS = 9
 
@@ -83,11 +85,8 @@ def decode_rg_map(text: bytes, name: str) -> dict[str, Any]:
     Raises:
         MapError: no JSON, not the format or version, not the schema, ids that lead nowhere.
     """
-    try:
-        document = json.loads(text, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise MapError(f"{name}: no valid JSON: {error}") from error
-    _check_header(document, name)
+    document = _parsed(text, name)
+    _check_header(document, name, FORMAT)
     broken = _first_schema_error(document)
     if broken is not None:
         raise MapError(f"{name}: {broken}")
@@ -97,6 +96,53 @@ def decode_rg_map(text: bytes, name: str) -> dict[str, Any]:
     document["cuboids"] = tuple(_cuboid_from_json(entry) for entry in document["cuboids"])
     check_references(document["regions"], document["gateways"], name)
     return document
+
+
+def encode_region_document(
+    region: Region, wTg: FloatArray, gateways: Sequence[Gateway], rectangles: Sequence[Rectangle]
+) -> bytes:
+    """A region's file as bytes (see `rgslam.region_map`).
+
+    Args:
+        region: in its own frame g.
+        wTg: (3,), where that frame stands in the world.
+        gateways: of the region, in g.
+        rectangles: of the region, in g.
+
+    Raises:
+        MapError: a number is not finite.
+    """
+    document = {
+        "format": REGION_FORMAT,
+        "version": VERSION,
+        "region": _region_to_json(region, rectangles, _OWN_FRAME_DECIMALS)
+        | {"frame": np.asarray(wTg, float).tolist()},
+        "gateways": [_gateway_to_json(gateway, _OWN_FRAME_DECIMALS) for gateway in gateways],
+        "rectangles": [_rectangle_to_json(rectangle) for rectangle in rectangles],
+    }
+    try:
+        return (_layout(document, "") + "\n").encode("utf-8")
+    except ValueError as error:  # json.dumps(allow_nan=False)
+        raise MapError(f"region {region.id}: a value is not a finite number: {error}") from error
+
+
+def decode_region_document(
+    text: bytes, name: str
+) -> tuple[Region, FloatArray, tuple[Gateway, ...], tuple[Rectangle, ...]]:
+    """Read a region's file: the region in its own frame, wTg, its gateways and rectangles.
+
+    Raises:
+        MapError: no JSON, not the format or version, not the schema.
+    """
+    document = _parsed(text, name)
+    _check_header(document, name, REGION_FORMAT)
+    broken = _first_schema_error(document, "region_document")
+    if broken is not None:
+        raise MapError(f"{name}: {broken}")
+    region = _region_from_json(document["region"] | {"frame": [0.0, 0.0, 0.0]})
+    gateways = tuple(_gateway_from_json(entry) for entry in document["gateways"])
+    rectangles = tuple(_rectangle_from_json(entry) for entry in document["rectangles"])
+    return region, _array(document["region"]["frame"], (3,)), gateways, rectangles
 
 
 def check_references(regions: Sequence[Region], gateways: Sequence[Gateway], name: str) -> None:
@@ -126,35 +172,37 @@ def check_references(regions: Sequence[Region], gateways: Sequence[Gateway], nam
 # --- Writing --------------------------------------------------------------------------------------
 
 
-def _region_to_json(region: Region, rectangles: Sequence[Rectangle]) -> dict[str, Any]:
+def _region_to_json(
+    region: Region, rectangles: Sequence[Rectangle], decimals: int = _LENGTH_DECIMALS
+) -> dict[str, Any]:
     frame = [*_lengths(region.wTg[:2]), *_angles(region.wTg[2:])]
     return {
         "id": int(region.id),
         "label": region.label.value,
         "frame": frame,
-        "polygon": _lengths(region.polygon),
+        "polygon": _rounded(region.polygon, decimals),
         "bbox": _lengths(region.bbox),
         "main_axes": _angles(region.main_axes),
         "area": _lengths(region.area),
         "line_segments": [
-            {"endpoints": _lengths(line.endpoints), "sigma": _lengths(line.sigma)}
+            {"endpoints": _rounded(line.endpoints, decimals), "sigma": _lengths(line.sigma)}
             for line in region.line_segments
         ],
         "gateways": [int(gateway) for gateway in region.gateways],
         "rectangles": [int(r.id) for r in rectangles if r.region == region.id],
-        "objects_2d": [_lengths(outline) for outline in region.objects_2d],
+        "objects_2d": [_rounded(outline, decimals) for outline in region.objects_2d],
         "accuracy_m": None if region.accuracy_m is None else _lengths(region.accuracy_m),
         "completeness": None if region.completeness is None else _lengths(region.completeness),
     }
 
 
-def _gateway_to_json(gateway: Gateway) -> dict[str, Any]:
+def _gateway_to_json(gateway: Gateway, decimals: int = _LENGTH_DECIMALS) -> dict[str, Any]:
     return {
         "id": int(gateway.id),
         "label": gateway.label.value,
         "regions": [int(region) for region in gateway.regions],
-        "points": _lengths(gateway.points),
-        "crossing_point": _lengths(gateway.crossing_point),
+        "points": _rounded(gateway.points, decimals),
+        "crossing_point": _rounded(gateway.crossing_point, decimals),
         "width": _lengths(gateway.width),
         "covariance": _significant(gateway.covariance),
         "directions": _angles(gateway.directions),
@@ -243,13 +291,21 @@ def _layout(value: Any, indent: str) -> str:
 # --- Reading --------------------------------------------------------------------------------------
 
 
+def _parsed(text: bytes, name: str) -> Any:
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise MapError(f"{name}: no valid JSON: {error}") from error
+
+
 def _refuse_constant(name: str) -> float:
     raise ValueError(f"{name} is no JSON number")
 
 
-def _check_header(document: Any, name: str) -> None:
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise MapError(f"{name}: is not an RG map (its format is not {FORMAT!r})")
+def _check_header(document: Any, name: str, wanted: str) -> None:
+    if not isinstance(document, dict) or document.get("format") != wanted:
+        kind = "an RG map" if wanted == FORMAT else "the map of a region"
+        raise MapError(f"{name}: is not {kind} (its format is not {wanted!r})")
     if document.get("version") != VERSION:
         raise MapError(
             f"{name}: version {document.get('version')!r} of the format,"
@@ -257,22 +313,25 @@ def _check_header(document: Any, name: str) -> None:
         )
 
 
-def _first_schema_error(document: Any) -> str | None:
-    """Where and how a document breaks the schema, None if it does not."""
+def _first_schema_error(document: Any, part: str | None = None) -> str | None:
+    """Where and how a document breaks the schema or a part of it, None if it does not."""
     from jsonschema.exceptions import best_match
 
-    error = best_match(_validator().iter_errors(document))
+    error = best_match(_validator(part).iter_errors(document))
     if error is None:
         return None
     message = error.message if len(error.message) < 200 else error.message[:200] + " ..."
     return f"{error.json_path}: {message}"
 
 
-@lru_cache(maxsize=1)
-def _validator() -> Any:
+@lru_cache(maxsize=2)
+def _validator(part: str | None) -> Any:
     from jsonschema import Draft202012Validator
 
-    return Draft202012Validator(schema())
+    whole = schema()
+    if part is None:
+        return Draft202012Validator(whole)
+    return Draft202012Validator({"$ref": f"#/$defs/{part}", "$defs": whole["$defs"]})
 
 
 def _region_from_json(entry: dict[str, Any]) -> Region:

@@ -32,6 +32,7 @@ from rgslam.map_files import (
 from rgslam.map_folder import check_replaceable, write_folder
 from rgslam.map_json import decode_rg_map, encode_rg_map
 from rgslam.observations import PlacedFrame
+from rgslam.region_map import RegionMap
 from rgslam.types import (
     CameraMount,
     Cuboid,
@@ -112,13 +113,14 @@ class RGMap:
             for mount in self.run.details.get("camera_mounts", ())
         )
 
-    def region(self, region_id: int) -> Region:
-        """The region of that id.
+    def region(self, region_id: int) -> RegionMap:
+        """The region of that id with its gateways and rectangles; it can be saved alone.
 
         Raises:
             MapError: there is none.
         """
-        return _by_id("region", self.regions, region_id)
+        region = _by_id("region", self.regions, region_id)
+        return RegionMap.of(region, self.gateways, self.rectangles)
 
     def gateway(self, gateway_id: int) -> Gateway:
         """The gateway of that id.
