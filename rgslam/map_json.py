@@ -193,6 +193,7 @@ def _region_to_json(
         "objects_2d": [_rounded(outline, decimals) for outline in region.objects_2d],
         "accuracy_m": None if region.accuracy_m is None else _lengths(region.accuracy_m),
         "completeness": None if region.completeness is None else _lengths(region.completeness),
+        "label_probability": _angles(region.label_probability),
     }
 
 
@@ -210,6 +211,7 @@ def _gateway_to_json(gateway: Gateway, decimals: int = _LENGTH_DECIMALS) -> dict
             {"time": float(c.stamp), "from": int(c.from_region), "to": int(c.to_region)}
             for c in gateway.crossings
         ],
+        "label_probability": _angles(gateway.label_probability),
     }
 
 
@@ -338,6 +340,7 @@ def _region_from_json(entry: dict[str, Any]) -> Region:
     return Region(
         id=entry["id"],
         label=RegionClass(entry["label"]),
+        label_probability=float(entry.get("label_probability", 1.0)),
         wTg=_array(entry["frame"], (3,)),
         polygon=_array(entry["polygon"], (-1, 2)),
         bbox=_array(entry["bbox"], (2, 2)),
@@ -358,6 +361,7 @@ def _gateway_from_json(entry: dict[str, Any]) -> Gateway:
     return Gateway(
         id=entry["id"],
         label=GatewayClass(entry["label"]),
+        label_probability=float(entry.get("label_probability", 1.0)),
         regions=(entry["regions"][0], entry["regions"][1]),
         points=_array(entry["points"], (2, 2)),
         crossing_point=_array(entry["crossing_point"], (2,)),

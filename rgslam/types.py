@@ -202,6 +202,14 @@ class Gateway:
     covariance: FloatArray  # (4, 4), of points.ravel(), m^2
     directions: FloatArray  # (2, 2), unit vectors in w: regions[0] -> [1], and back
     crossings: tuple[Crossing, ...] = ()
+    label_probability: float = 1.0
+
+    @property
+    def width_sigma(self) -> float:
+        """Standard deviation of the width, m."""
+        along = (self.points[1] - self.points[0]) / self.width
+        jacobian = np.concatenate([-along, along])
+        return float(np.sqrt(jacobian @ self.covariance @ jacobian))
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +236,7 @@ class Region:
     objects_2d: tuple[FloatArray, ...] = ()  # outlines (n, 2) of free-standing clusters, w
     accuracy_m: float | None = None  # RMS distance of the evidence to the line segments
     completeness: float | None = None  # share of the boundary really seen, 0..1
+    label_probability: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

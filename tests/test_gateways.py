@@ -14,7 +14,7 @@ from rgslam.config import GatewayConfig
 from rgslam.gateways import detect_crossings
 from rgslam.gateways.classes import count_arms, gateway_class
 from rgslam.gateways.posts import post_covariance
-from rgslam.types import Gateway, GatewayClass, RegionClass, Trajectory
+from rgslam.types import Gateway, GatewayClass, Trajectory
 
 
 def door_between(x_range, y_range):
@@ -103,14 +103,20 @@ def test_arms_of_a_junction_are_counted(arms, expected):
 
 
 def test_class_rule():
-    hall, room = RegionClass.HALLWAY, RegionClass.ROOM
     config = GatewayConfig()
-    assert gateway_class(0.9, True, (hall, hall), 4, True, config) is GatewayClass.NARROW_PASSAGE
-    assert gateway_class(2.0, False, (hall, hall), 4, True, config) is GatewayClass.X_JUNCTION
-    assert gateway_class(2.0, False, (hall, hall), 3, True, config) is GatewayClass.T_JUNCTION
-    assert gateway_class(2.0, False, (hall, hall), 2, False, config) is GatewayClass.L_JUNCTION
-    assert gateway_class(2.0, False, (hall, hall), 2, True, config) is GatewayClass.OPENING
-    assert gateway_class(3.0, True, (room, hall), 0, False, config) is GatewayClass.OPENING
+
+    def label(width, is_neck, arms, straight, hallways=0.9, sigma=0.02):
+        return gateway_class(width, sigma, is_neck, hallways, arms, straight, config)
+
+    assert label(0.9, True, 4, True) == (GatewayClass.NARROW_PASSAGE, pytest.approx(1.0))
+    assert label(2.0, False, 4, True) == (GatewayClass.X_JUNCTION, pytest.approx(0.9))
+    assert label(2.0, False, 3, True)[0] is GatewayClass.T_JUNCTION
+    assert label(2.0, False, 2, False)[0] is GatewayClass.L_JUNCTION
+    assert label(2.0, False, 2, True)[0] is GatewayClass.OPENING
+    assert label(3.0, True, 0, False) == (GatewayClass.OPENING, pytest.approx(1.0))
+    # As wide as the widest double door: it may be either
+    assert label(2.4, True, 0, False, sigma=0.1)[1] == pytest.approx(0.5)
+    assert label(2.3, True, 0, False, sigma=0.1)[1] == pytest.approx(0.84, abs=0.01)
 
 
 def gateway(angle=0.0, width=1.0):

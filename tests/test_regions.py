@@ -16,6 +16,7 @@ from rgslam.errors import MapError
 from rgslam.gateways.passages import Passages
 from rgslam.geometry import inverse, transform_points
 from rgslam.outlines import signed_area, trace_outlines
+from rgslam.regions.description import region_class
 from rgslam.regions.free_space import open_screens
 from rgslam.types import OccupancyGrid, RegionClass
 
@@ -67,6 +68,23 @@ def test_hallway_and_hall_have_their_class(office_map):
     assert len(label[0].gateways) == 5
     assert abs(label[0].main_axes[0, 0]) == pytest.approx(1.0, abs=1e-3)
     assert label[5].label is RegionClass.ROOM
+
+
+@pytest.mark.parametrize(
+    ("area", "clearance", "exits", "label", "sure"),
+    [
+        (27.0, 0.81, 2, RegionClass.HALLWAY, 0.99),  # 1.8 x 15 m
+        (27.0, 0.81, 1, RegionClass.ROOM, 0.99),  # the same with one door: a long room
+        (20.0, 1.5, 2, RegionClass.ROOM, 0.95),  # 4 x 5 m
+        (108.0, 3.5, 2, RegionClass.OPEN_SPACE, 0.99),  # 9 x 12 m
+        (36.0, 2.05, 2, None, 0.5),  # 6 x 6 m, right at the limit: nobody can tell
+    ],
+)
+def test_a_class_says_how_sure_it_is(area, clearance, exits, label, sure):
+    door = segment_grid(raster([*office()[0], *office()[1]], 0.1)).gateways[0]
+    found, probability = region_class(area, clearance, [door] * exits, RegionConfig())
+    assert label in (None, found)
+    assert probability == pytest.approx(sure, abs=0.08)
 
 
 @settings(max_examples=12, deadline=None)

@@ -331,9 +331,11 @@ def test_keys_are_those_of_the_interface(rg_map: RGMap) -> None:
     assert list(document)[:2] == ["format", "version"]
     assert (document["format"], document["version"]) == ("rgslam/rgmap", 1)
     region = "id label frame polygon bbox main_axes area line_segments gateways rectangles"
-    assert " ".join(document["regions"][0]) == f"{region} objects_2d accuracy_m completeness"
+    assert " ".join(document["regions"][0]) == (
+        f"{region} objects_2d accuracy_m completeness label_probability"
+    )
     gateway = "id label regions points crossing_point width covariance directions crossings"
-    assert " ".join(document["gateways"][0]) == gateway
+    assert " ".join(document["gateways"][0]) == f"{gateway} label_probability"
 
 
 MUTATIONS: dict[str, Callable[[dict], object]] = {

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from math import erf, sqrt
+
 import numpy as np
 import numpy.typing as npt
 
 from rgslam.config import GatewayConfig
 from rgslam.gateways.virtual_lines import ray_length
-from rgslam.types import FloatArray, GatewayClass, RegionClass
+from rgslam.types import FloatArray, GatewayClass
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -53,13 +55,14 @@ def _arm_directions(free: BoolArray, x: float, y: float, reach: float) -> FloatA
 
 def gateway_class(
     width: float,
+    width_sigma: float,
     is_neck: bool,
-    regions: tuple[RegionClass, RegionClass],
+    hallways: float,
     arms: int,
     straight: bool,
     config: GatewayConfig,
-) -> GatewayClass:
-    """First rule for the class of a gateway.
+) -> tuple[GatewayClass, float]:
+    """Class of a gateway from its geometry, and its probability.
 
     Where hallways meet at the full width of one of them it is a junction, named after the number of
     arms. What narrows the way on both sides to the width of a door, single or double, is a narrow
@@ -67,19 +70,28 @@ def gateway_class(
 
     Args:
         width: m.
+        width_sigma: its standard deviation, m.
         is_neck: whether the space is wider than the gateway on both sides.
-        regions: classes of the two regions.
-        arms: hallway arms that meet there.
+        hallways: probability that both regions are hallways.
+        arms: hallway arms that meet there; 0 where not both are taken for hallways.
         straight: whether two arms lie opposite each other.
         config: the width of a door.
     """
-    if is_neck and width <= 2.0 * config.door_leaf:
-        return GatewayClass.NARROW_PASSAGE
-    if regions == (RegionClass.HALLWAY, RegionClass.HALLWAY):
-        if arms >= 4:
-            return GatewayClass.X_JUNCTION
-        if arms == 3:
-            return GatewayClass.T_JUNCTION
-        if arms == 2 and not straight:
-            return GatewayClass.L_JUNCTION
-    return GatewayClass.OPENING
+    door = 0.0
+    if is_neck:
+        door = 0.5 * (1.0 + erf((2.0 * config.door_leaf - width) / (sqrt(2.0) * width_sigma)))
+    if door >= 0.5:
+        return GatewayClass.NARROW_PASSAGE, door
+    junction = _junction(arms, straight)
+    if junction is not None:
+        return junction, (1.0 - door) * hallways
+    return GatewayClass.OPENING, 1.0 - door
+
+
+def _junction(arms: int, straight: bool) -> GatewayClass | None:
+    """What hallways make that meet with so many arms."""
+    if arms >= 4:
+        return GatewayClass.X_JUNCTION
+    if arms == 3:
+        return GatewayClass.T_JUNCTION
+    return GatewayClass.L_JUNCTION if arms == 2 and not straight else None

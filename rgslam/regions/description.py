@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import erf, log
 
 import cv2
 import numpy as np
@@ -63,15 +64,21 @@ def rectangle_width(area: float, inner_clearance: float) -> float:
     return width
 
 
+#: Standard deviation of the logarithm of a region's width: that of 266 regions of ten floor plans,
+#: drawn empty and with furniture, differs by 0.14.
+_WIDTH_SIGMA = 0.15
+
+
 def region_class(
     area: float, inner_clearance: float, gateways: Sequence[Gateway], config: RegionConfig
-) -> RegionClass:
-    """Class of a region from its geometry.
+) -> tuple[RegionClass, float]:
+    """Class of a region from its geometry, and its probability.
 
     Width and length are those of the rectangle with the same area and the same clearance in its
     inner part: corners, bends, rings, niches and furniture change them little. A hallway is long
     for its width, not wider than hallways are, and leads somewhere or is the blind end of other
-    hallways; an open space is wide both ways.
+    hallways; an open space is wide both ways. As the area is known, both are questions about the
+    width, and how far it is from either limit tells how sure the answer is.
 
     Args:
         area: m^2.
@@ -80,14 +87,20 @@ def region_class(
         config: the limits.
     """
     width = rectangle_width(area, inner_clearance)
-    elongation = area / width**2
-    if (
-        elongation >= config.hallway_elongation
-        and width <= config.hallway_width
-        and (len(gateways) >= 2 or any(g.label in _JUNCTIONS for g in gateways))
-    ):
-        return RegionClass.HALLWAY
-    return RegionClass.OPEN_SPACE if width >= config.open_space_width else RegionClass.ROOM
+    leads_on = len(gateways) >= 2 or any(g.label in _JUNCTIONS for g in gateways)
+    widest = min(config.hallway_width, float(np.sqrt(area / config.hallway_elongation)))
+    hallway = _below(width, widest) if leads_on else 0.0
+    open_space = 1.0 - _below(width, config.open_space_width)
+    if hallway >= 0.5:
+        return RegionClass.HALLWAY, hallway
+    if open_space >= 0.5:
+        return RegionClass.OPEN_SPACE, open_space
+    return RegionClass.ROOM, 1.0 - hallway - open_space
+
+
+def _below(width: float, limit: float) -> float:
+    """Probability that a region is narrower than a limit."""
+    return 0.5 * (1.0 + erf(log(limit / width) / (np.sqrt(2.0) * _WIDTH_SIGMA)))
 
 
 def _boundary_chains(
@@ -222,9 +235,11 @@ def describe_region(
     area = float(view.inside.sum()) * cell**2
     if len(axes) == 0:  # no straight wall anywhere: the frame's own x is as good as any
         axes = np.array([[1.0, 0.0]])
+    label, probability = region_class(area, inner_clearance, gateways, config)
     return Region(
         id=region_id,
-        label=region_class(area, inner_clearance, gateways, config),
+        label=label,
+        label_probability=probability,
         wTg=wTg,
         polygon=polygon,
         bbox=bbox,

@@ -193,16 +193,23 @@ def _classified(
             draw_wall(closed, a[0], a[1], b[0], b[1])
     found = []
     for g, is_neck in zip(gateways, necks, strict=True):
+        hallways = float(np.prod([_hallway_probability(regions[r - 1]) for r in g.regions]))
         if g.label is not GatewayClass.OPENING:
-            found.append(g)
+            found.append(replace(g, label_probability=hallways))
             continue
         arms, straight = 0, False
         if g.id in junctions:
             arms, straight = count_arms(closed, _cells(g.points, grid))
-        classes = (regions[g.regions[0] - 1].label, regions[g.regions[1] - 1].label)
-        label = gateway_class(g.width, is_neck, classes, arms, straight, config.gateways)
-        found.append(replace(g, label=label))
+        label, probability = gateway_class(
+            g.width, g.width_sigma, is_neck, hallways, arms, straight, config.gateways
+        )
+        found.append(replace(g, label=label, label_probability=probability))
     return tuple(found)
+
+
+def _hallway_probability(region: Region) -> float:
+    sure = region.label_probability
+    return sure if region.label is RegionClass.HALLWAY else 1.0 - sure
 
 
 def _cells(w_points: FloatArray, grid: OccupancyGrid) -> FloatArray:
