@@ -232,7 +232,7 @@ def describe_region(
     axes = main_axes(segments)
     polygon = _outline(view)
     wTg, bbox = _frame_and_box(polygon, axes)
-    area = float(view.inside.sum()) * cell**2
+    area = float((view.inside | view.at_walls).sum()) * cell**2
     if len(axes) == 0:  # no straight wall anywhere: the frame's own x is as good as any
         axes = np.array([[1.0, 0.0]])
     label, probability = region_class(area, inner_clearance, gateways, config)

@@ -77,6 +77,33 @@ def fill_islands(
     return free | np.isin(labels, filled)
 
 
+def islands_in_regions(
+    labels: LabelArray, free: BoolArray, resolution: float, regions: RegionConfig
+) -> LabelArray:
+    """Labels (H, W) that cover what stands in one region and is no larger than furniture.
+
+    Args:
+        labels: (H, W) of the regions, 0 = none.
+        free: (H, W), no islands filled that are to be looked at.
+        resolution: m per cell.
+        regions: how large furniture is.
+    """
+    found = labels.copy()
+    pieces, islands = find_islands(free)
+    for island in islands:
+        if (
+            island.length * resolution > regions.largest_furniture
+            or island.depth * resolution > regions.deepest_furniture
+        ):
+            continue
+        cells = pieces == island.label
+        around = cv2.dilate(cells.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        beside = np.unique(labels[around & ~cells])
+        if len(beside) == 1:
+            found[cells] = beside[0]
+    return found
+
+
 def open_screens(
     free: BoolArray, passages: Passages, resolution: float, config: GatewayConfig
 ) -> tuple[BoolArray, BoolArray]:

@@ -16,7 +16,7 @@ from rgslam.gateways.passages import clearance_of, draw_wall, select_passages
 from rgslam.gateways.posts import refine_posts
 from rgslam.gateways.virtual_lines import find_virtual_lines
 from rgslam.outlines import trace_outlines
-from rgslam.regions.free_space import drop_slits, fill_islands, open_screens
+from rgslam.regions.free_space import drop_slits, fill_islands, islands_in_regions, open_screens
 from rgslam.types import FloatArray, GatewayClass, IntArray
 
 BoolArray = npt.NDArray[np.bool_]
@@ -211,6 +211,7 @@ def partition_free_space(
 
     labels = np.ascontiguousarray(merged[labels].astype(np.int32))
     flood(labels, np.ascontiguousarray(filled), int(np.ceil(_CREVICE / resolution)))
+    labels = islands_in_regions(labels, filled, resolution, config.regions)
     sides = merged[sides]
     real = (sides[:, 0] != sides[:, 1]) & (sides > 0).all(axis=1)
     labels, renamed, count = renumber(labels)

@@ -156,7 +156,9 @@ def _regions(
     grid: OccupancyGrid,
     config: Config,
 ) -> tuple[Region, ...]:
-    clearances = inner_clearances(partition.labels, partition.count, grid.resolution)
+    # How wide a room is, not what is left of it between the cabinets
+    whole = np.where(furniture > 0, furniture, partition.labels)
+    clearances = inner_clearances(whole, partition.count, grid.resolution)
     regions = []
     for i, box in enumerate(region_boxes(partition.labels, partition.count)):
         # Two cells of margin: the walls around a region belong to the evidence about it.
