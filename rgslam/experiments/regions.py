@@ -228,7 +228,7 @@ def _draw(
         if under.size and under.max() > 0.5 * np.count_nonzero(true == under.argmax()):
             partner[region.id] = under.argmax()
     partner[0] = 0
-    left, right = _coloured(true, free), _coloured(partner[labels], free)
+    left, right = coloured_labels(true, free), coloured_labels(partner[labels], free)
     for image, points in ((left, true_middles), (right, middles)):
         for x, y in np.rint(points).astype(int).tolist():
             cv2.circle(image, (x, y), 4, (30, 20, 200), -1, cv2.LINE_AA)
@@ -241,7 +241,7 @@ def _draw(
         raise EvaluationError(f"{folder / name}: cannot be written: {error.strerror}") from error
 
 
-def _coloured(labels: np.ndarray, free: Mask) -> np.ndarray:
+def coloured_labels(labels: np.ndarray, free: Mask) -> np.ndarray:
     """Labels in soft colours on the plan: free without a label is grey, not free black."""
     # Steps of the golden ratio around the colour circle keep neighbouring numbers apart
     hue = (np.arange(labels.max(initial=0) + 1) * 0.618034 * 180.0) % 180.0
