@@ -25,7 +25,7 @@ from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
 from rgslam.observations import FrameObservations, PlacedFrame, RunMessage, observe_frame
 from rgslam.occupancy_grid import build_occupancy_grid
-from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
+from rgslam.odometry import OdometryBuffer, constant_velocity_covariance
 from rgslam.regions import fit_to_scans, segment_grid
 from rgslam.rg_map import RGMap, RunInfo, mount_details
 from rgslam.scan_hits import hits_of
@@ -45,6 +45,7 @@ from rgslam.types import (
     StereoPair,
     Trajectory,
 )
+from rgslam.wheel_noise import WheelNoise
 
 if TYPE_CHECKING:  # loaded when there are images: most runs have none
     from rgslam.data_association import RectangleState
@@ -97,6 +98,8 @@ class Mapper:
         self.config = config or Config()
         self.clock = clock or StageClock()
         self._odometry = OdometryBuffer()
+        self._wheels = WheelNoise()
+        self._keyframe_oTb: FloatArray | None = None  # odometry at the newest keyframe
         self._frames = FramePlacer(self._odometry)
         self._track = _Track()
         self._closer = LoopCloser(self.config.loop_closing)
@@ -187,8 +190,8 @@ class Mapper:
         habit = Motion(self._velocity * (seconds / usual), constant_velocity_covariance(seconds))
         if oTb is None or last_oTb is None:
             return habit, habit
-        motion = between(last_oTb, oTb)
-        return Motion(motion, odometry_covariance(motion) + _STANDING), habit
+        motion = self._wheels.corrected(between(last_oTb, oTb))
+        return Motion(motion, self._wheels.covariance(motion) + _STANDING), habit
 
     def _points_of(self, scan: LaserScan) -> ScanPoints | None:
         """Points of the scan, or None when it comes from another scanner or sees nothing."""
@@ -248,9 +251,11 @@ class Mapper:
         self._poses = np.vstack([self._poses, self._wTb])
         if number:
             self._local_map.learn(points, self._wTb)
+            self._learn_wheels(match)
             edges = self._match_edges(number, points, match)
             self._graph.add(edges)
             self._closer.add_edges(edges)
+        self._keyframe_oTb = self._last[1] if self._last is not None else None
         self._keyframe_scans.append(len(self._track.scans) - 1)
         self._keyframe_path.append(self._path)
         self._track.keyframe[-1] = number
@@ -258,6 +263,17 @@ class Mapper:
         self._frames.became_keyframe(number)
         self._since_keyframe = np.zeros((3, 3))
         return number
+
+    def _learn_wheels(self, match: LocalMatch) -> None:
+        """Compare wheels and laser since the keyframe before the newest."""
+        oTb = self._last[1] if self._last is not None else None
+        if oTb is None or self._keyframe_oTb is None or not match.trusted:
+            return
+        laser = between(self._poses[-2], self._poses[-1])
+        covariance = np.linalg.inv(match.information / 2.0 + _OPEN)
+        self._wheels.learn(
+            between(self._keyframe_oTb, oTb), laser, np.asarray(covariance, np.float64)
+        )
 
     def _match_edges(self, number: int, points: ScanPoints, match: LocalMatch) -> list[PoseEdge]:
         """What the match says of the newest keyframe, as relative poses to older ones.
