@@ -185,19 +185,18 @@ class LocalMap:
         registration, and the scan then fits as scans do here.
         """
         prediction = compose(start, motion.bTc)
-        if self._within_reach(motion):
-            direct = self._register(scan, prediction, prediction, motion.covariance)
-            if direct.inliers >= self._usual_inliers:
-                return direct
+        direct = self._register(scan, prediction, prediction, motion.covariance)
+        if direct.inliers >= self._usual_inliers and self._within_reach(
+            between(prediction, direct.wTb)
+        ):
+            return direct
         coarse = self._correlate(scan, prediction, motion)
         doubt = _doubt(between(prediction, coarse), motion.covariance)
         return self._register(scan, coarse, prediction, motion.covariance * doubt)
 
-    def _within_reach(self, motion: Motion) -> bool:
-        """Whether 3 sigma of the prediction move most of what is seen by less than the gate."""
-        variance = motion.covariance
-        moved = variance[0, 0] + variance[1, 1] + self._lever**2 * variance[2, 2]
-        return bool(9.0 * moved < self._reach**2)
+    def _within_reach(self, moved: FloatArray) -> bool:
+        """Whether a correction moves most of what is seen by less than half the gate."""
+        return bool(np.hypot(moved[0], moved[1]) + self._lever * abs(moved[2]) < 0.5 * self._reach)
 
     def _register(
         self, scan: ScanPoints, guess: FloatArray, prediction: FloatArray, covariance: FloatArray

@@ -7,7 +7,7 @@ File order is right where stamps are not: in some logs they jump back hundreds o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -74,22 +74,31 @@ class CarmenRecording(Recording):
         return self._read(problems, progress)
 
     def _read(self, problems: Problems, progress: ReadProgress | None) -> Iterator[Message]:
-        with LineStream(self.path) as lines:
-            for number, line in enumerate(lines, start=1):
-                try:
-                    message = self._message(line, number, problems)
-                except ValueError:
-                    cut_off = not line.endswith(b"\n")
-                    problems.add(_CUT_OFF if cut_off else _MALFORMED, number)
-                    continue
-                if message is not None:
-                    yield message
-                if progress is not None and number % _PROGRESS_RECORDS == 0:
-                    progress(lines.fraction())
-            if lines.damage is not None:
-                problems.add(f"{lines.damage}; what comes after it is lost", 0)
-        if progress is not None:
-            progress(1.0)
+        tell = progress or (lambda fraction: None)
+        known = self._survey.lines
+        if known is not None:
+            yield from self._messages(known, problems, lambda number: tell(number / len(known)))
+        else:
+            with LineStream(self.path) as lines:
+                yield from self._messages(lines, problems, lambda number: tell(lines.fraction()))
+                if lines.damage is not None:
+                    problems.add(f"{lines.damage}; what comes after it is lost", 0)
+        tell(1.0)
+
+    def _messages(
+        self, lines: Iterable[bytes], problems: Problems, tell: Callable[[int], None]
+    ) -> Iterator[Message]:
+        for number, line in enumerate(lines, start=1):
+            try:
+                message = self._message(line, number, problems)
+            except ValueError:
+                cut_off = not line.endswith(b"\n")
+                problems.add(_CUT_OFF if cut_off else _MALFORMED, number)
+                continue
+            if message is not None:
+                yield message
+            if number % _PROGRESS_RECORDS == 0:
+                tell(number)
 
     def _message(self, line: bytes, number: int, problems: Problems) -> Message | None:
         words = line.split(None, 1)

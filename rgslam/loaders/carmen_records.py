@@ -14,6 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from rgslam.loaders.decimal_text import parse_numbers
 from rgslam.types import FloatArray
 
 
@@ -100,18 +101,6 @@ def parse_odometry(line: bytes) -> OdometryRecord:
     if len(fields) != 10:
         raise ValueError("wrong number of fields")
     return OdometryRecord(_stamp(fields[7]), _finite(fields[1:4]))
-
-
-def parse_numbers(text: bytes, n: int) -> FloatArray:
-    """Exactly n numbers separated by blanks, to the last bit what `float` makes of them.
-
-    Raises:
-        ValueError: another number of fields, or a field that is no number.
-    """
-    fields = text.split()
-    if len(fields) != n:
-        raise ValueError(f"{len(fields)} numbers instead of {n}")
-    return np.array(fields, dtype=np.float64)
 
 
 def _scanner_and_ranges(

@@ -19,7 +19,7 @@ import numpy as np
 
 from rgslam.errors import RecordingError
 from rgslam.geometry import between
-from rgslam.loaders.byte_stream import LineStream
+from rgslam.loaders.byte_stream import LineStream, compression
 from rgslam.loaders.carmen_records import (
     ScanRecord,
     parse_flaser,
@@ -78,6 +78,8 @@ class CarmenSurvey:
     complete: bool  # the whole file was looked at
     laser: LaserFacts
     odometry_constant: bool  # all scans looked at have one and the same odometry
+    #: Of a packed log that is whole and not large, so that it is not unpacked twice; else None.
+    lines: tuple[bytes, ...] | None
     warnings: tuple[str, ...]
 
 
@@ -109,9 +111,13 @@ def survey(path: Path) -> CarmenSurvey:
     params: dict[str, str] = {}
     samples = {name: _Sample() for name in SCAN_PARSERS}
     size = 0
+    kept: list[bytes] = []
+    packed = compression(path) is not None
     with LineStream(path) as lines:
         for line in lines:
             _take(line, counts, params, samples)
+            if packed:
+                kept.append(line)
             size += len(line)
             if size > _SURVEY_BYTES and any(sample.scans for sample in samples.values()):
                 break
@@ -120,7 +126,11 @@ def survey(path: Path) -> CarmenSurvey:
     scan_type = next((name for name, sample in samples.items() if sample.scans), None)
     if scan_type is None:
         raise RecordingError(_nothing_to_map(path, counts, damage))
-    return _survey_of(scan_type, samples[scan_type].scans, counts, params, complete)
+    whole = packed and complete and damage is None
+    return _survey_of(
+        scan_type, samples[scan_type].scans, counts, params, complete,
+        lines=tuple(kept) if whole else None,
+    )  # fmt: skip
 
 
 def _take(
@@ -153,6 +163,7 @@ def _survey_of(
     counts: Counter[str],
     params: dict[str, str],
     complete: bool,
+    lines: tuple[bytes, ...] | None,
 ) -> CarmenSurvey:
     warnings: list[str] = []
     bTl, bTl_source = laser_mount(scans, params, warnings)
@@ -168,6 +179,7 @@ def _survey_of(
         complete=complete,
         laser=LaserFacts(no_return_from, max_range, max_range_source, bTl, bTl_source),
         odometry_constant=constant,
+        lines=lines,
         warnings=tuple(warnings),
     )
 
