@@ -61,6 +61,8 @@ _OPEN = np.diag([1e-2, 1e-2, 1e-2])
 _SETTLE_SHARE = 10
 #: While the run goes on, poses need not be better than the next loop makes them.
 _UNDERWAY_TOLERANCE = 1e-3
+#: Near the solution, where small loops leave the poses, three steps take off all but a thousandth.
+_UNDERWAY_ITERATIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,7 +323,7 @@ class Mapper:
         # In proportion to the map, or a long run would spend its time on settling
         usual = max(self.config.factor_graph.optimise_every, len(self._poses) // _SETTLE_SHARE)
         if surprise or self._unsettled > usual:
-            self._optimise(any(loop.wide for loop in loops), _UNDERWAY_TOLERANCE)
+            self._optimise(any(loop.wide for loop in loops), underway=True)
 
     def _off(self, edge: PoseEdge) -> float:
         """Metres by which the poses disagree with an edge."""
@@ -333,15 +335,17 @@ class Mapper:
         self._graph.add(edges)
         self._closer.add_edges(edges)
 
-    def _optimise(self, convex_start: bool = False, tolerance: float = 1e-5) -> None:
+    def _optimise(self, convex_start: bool = False, underway: bool = False) -> None:
         """Most likely poses; loops that the others outvote are taken back.
 
         Args:
             convex_start: a loop may be far off: it must pull before the robust kernel doubts it.
-            tolerance: relative change of the error at which to stop.
+            underway: the poses need not be better than the next loop makes them.
         """
         before = self._poses
-        self._poses = self._graph.optimise(before, convex_start, tolerance)
+        tolerance = _UNDERWAY_TOLERANCE if underway else 1e-5
+        iterations = _UNDERWAY_ITERATIONS if underway and not convex_start else 30
+        self._poses = self._graph.optimise(before, convex_start, tolerance, iterations)
         sigmas = mahalanobis([loop.edge for loop in self._closer.accepted], self._poses)
         limit = self.config.factor_graph.max_loop_sigmas
         outvoted = [

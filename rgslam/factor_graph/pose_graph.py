@@ -30,6 +30,7 @@ class PoseGraph:
             loop_kernel: sigmas at which the influence of a loop starts to fade (Cauchy kernel).
         """
         self.edges: list[PoseEdge] = []
+        self._solved = (np.empty((0, 3)), gtsam.Values())
         self._kernel_width = loop_kernel
         self._loop_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(loop_kernel)
         self._robust, self._convex = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
@@ -56,7 +57,11 @@ class PoseGraph:
         return graph
 
     def optimise(
-        self, initial: FloatArray, convex_start: bool = False, tolerance: float = 1e-5
+        self,
+        initial: FloatArray,
+        convex_start: bool = False,
+        tolerance: float = 1e-5,
+        iterations: int = 30,
     ) -> FloatArray:
         """Most likely poses (K, 3), by Levenberg-Marquardt.
 
@@ -66,20 +71,32 @@ class PoseGraph:
                 would otherwise never get the influence to pull the trajectory to it; this is the
                 first step of graduated non-convexity, and the loops are consistent already.
             tolerance: relative change of the error at which to stop.
+            iterations: after which to stop at the latest, in each of the two solutions.
         """
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setRelativeErrorTol(tolerance)
-        parameters.setMaxIterations(30)
-        values = _values(initial)
+        parameters.setMaxIterations(iterations)
+        values = self._values_of(initial)
         if convex_start:
             values = gtsam.LevenbergMarquardtOptimizer(self._convex, values, parameters).optimize()
         values = gtsam.LevenbergMarquardtOptimizer(self._robust, values, parameters).optimize()
         found: FloatArray = gtsam.utilities.extractPose2(values)  # in the order of the keys
+        self._solved = (found.copy(), values)
         return found
+
+    def _values_of(self, poses: FloatArray) -> gtsam.Values:
+        """The poses as GTSAM takes them; what was the last solution is taken over."""
+        known, values = self._solved
+        if not np.array_equal(known, poses[: len(known)]):
+            known, values = np.empty((0, 3)), gtsam.Values()
+        values = gtsam.Values(values)
+        for k in range(len(known), len(poses)):
+            values.insert(X(k), gtsam.Pose2(*poses[k].tolist()))
+        return values
 
     def covariances(self, poses: FloatArray) -> FloatArray:
         """Marginal covariances (K, 3, 3) at `poses`, in each keyframe's own frame: x, y, theta."""
-        marginals = gtsam.Marginals(self._robust, _values(poses))
+        marginals = gtsam.Marginals(self._robust, self._values_of(poses))
         return np.array([marginals.marginalCovariance(X(k)) for k in range(len(poses))])
 
 
@@ -92,10 +109,3 @@ def mahalanobis(edges: Sequence[PoseEdge], poses: FloatArray) -> FloatArray:
     error = between(measured, between(poses[i], poses[j]))
     weighted = np.linalg.solve(np.array([edge.covariance for edge in edges]), error[..., None])
     return np.sqrt(np.einsum("ni,ni->n", error, weighted[..., 0]))
-
-
-def _values(poses: FloatArray) -> gtsam.Values:
-    values = gtsam.Values()
-    for k, pose in enumerate(poses):
-        values.insert(X(k), gtsam.Pose2(*pose))
-    return values
