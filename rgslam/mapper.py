@@ -58,7 +58,7 @@ _STANDING = np.diag([0.01**2, 0.01**2, 0.005**2])
 #: Information of what no wall holds: 10 m and 10 rad.
 _OPEN = np.diag([1e-2, 1e-2, 1e-2])
 #: Poses are settled whenever the map has grown by this part of itself.
-_SETTLE_SHARE = 10
+_SETTLE_SHARE = 4
 #: While the run goes on, poses need not be better than the next loop makes them.
 _UNDERWAY_TOLERANCE = 1e-3
 #: Near the solution, where small loops leave the poses, three steps take off all but a thousandth.
@@ -308,7 +308,7 @@ class Mapper:
         return MapView(
             self._store,
             self._poses,
-            np.array(self._keyframe_path),
+            np.fromiter(self._keyframe_path, float, len(self._keyframe_path)),
             self._local_map.sigma,
             self._local_map.correlation,
         )

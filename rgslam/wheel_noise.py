@@ -10,6 +10,7 @@ one side), which is taken off, and a random one, whose variance grows with the w
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -19,6 +20,8 @@ from rgslam.types import FloatArray
 
 #: Newest keyframes that count, apart for straight ways and turns, and how few tell nothing.
 _SAMPLES, _FEW = 200, 30
+#: Keyframes between two looks at them; wheels change slowly.
+_EVERY = 5
 #: rad, turn between keyframes from which on the turn matters more than the way.
 _TURNING = 0.17
 #: The laser must know an axis so much better than uncalibrated wheels do, to be their judge.
@@ -41,18 +44,19 @@ class WheelNoise:
         self._straight: deque[FloatArray] = deque(maxlen=_SAMPLES)
         self._turning: deque[FloatArray] = deque(maxlen=_SAMPLES)
         self.travel_scale, self.turn_scale, self.veer = 1.0, 1.0, 0.0  # veer: rad per metre ahead
+        self._correction = np.eye(3)
+        self._news = 0
         self.rates = _UNCALIBRATED.copy()  # (2, 3), variances per metre and per radian
 
     def corrected(self, motion: FloatArray) -> FloatArray:
-        """The motion (3,) that the wheels mean when they report one."""
-        x, y, turn = motion
-        return np.array(
-            [self.travel_scale * x, self.travel_scale * y, self.turn_scale * turn + self.veer * x]
-        )
+        """The motions (..., 3) that the wheels mean when they report these."""
+        return np.asarray(motion) @ self._correction
 
     def covariance(self, motion: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a corrected motion, in the tangent space at its end."""
-        return np.diag(_amounts(motion) @ self.rates)
+        x, y, turn = motion.tolist()
+        along, across, heading = (np.array([math.hypot(x, y), abs(turn)]) @ self.rates).tolist()
+        return np.array([[along, 0.0, 0.0], [0.0, across, 0.0], [0.0, 0.0, heading]])
 
     def learn(self, wheels: FloatArray, laser: FloatArray, covariance: FloatArray) -> None:
         """Take the motion between two keyframes.
@@ -68,7 +72,9 @@ class WheelNoise:
         turning = abs(wheels[2]) > _TURNING
         samples = self._turning if turning else self._straight
         samples.append(np.concatenate([wheels, laser]))
-        if len(samples) >= _FEW:
+        self._news += 1
+        if len(samples) >= _FEW and self._news >= _EVERY:
+            self._news = 0
             self._calibrate_turns() if turning else self._calibrate_ways()
 
     def _calibrate_ways(self) -> None:
@@ -80,6 +86,7 @@ class WheelNoise:
         self.travel_scale = float(np.median(laser[moved, 0] / ahead[moved]))
         rest = laser[:, 2] - self.turn_scale * wheels[:, 2]
         self.veer = float(np.median(rest[moved] / ahead[moved]))
+        self._correct()
         self.rates[0] = self._rate(wheels, laser, 0)
 
     def _calibrate_turns(self) -> None:
@@ -87,12 +94,16 @@ class WheelNoise:
         wheels, laser = table[:, :3], table[:, 3:]
         rest = laser[:, 2] - self.veer * wheels[:, 0]
         self.turn_scale = float(np.median(rest / wheels[:, 2]))
+        self._correct()
         self.rates[1] = self._rate(wheels, laser, 1)
+
+    def _correct(self) -> None:
+        self._correction = np.diag([self.travel_scale, self.travel_scale, self.turn_scale])
+        self._correction[0, 2] = self.veer
 
     def _rate(self, wheels: FloatArray, laser: FloatArray, kind: int) -> FloatArray:
         """Variances (3,) per metre (0) or per radian (1) that the samples show."""
-        meant = np.array([self.corrected(motion) for motion in wheels])
-        squares = between(meant, laser) ** 2
+        squares = between(self.corrected(wheels), laser) ** 2
         amounts = _amounts(wheels)
         other = amounts[:, [1 - kind]] * self.rates[1 - kind]
         shown = np.maximum(squares - other, 0.0) / np.maximum(amounts[:, [kind]], 1e-3)

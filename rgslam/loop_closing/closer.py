@@ -84,7 +84,8 @@ class LoopCloser:
                 self._hold(candidate, view)
             else:
                 believed.append(candidate)
-        believed += self._confirm(view)
+        if self._pending:
+            believed += self._confirm(view)
         self.accepted += believed
         return believed
 
