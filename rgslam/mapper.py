@@ -281,18 +281,19 @@ class Mapper:
         """What the match says of the newest keyframe, as relative poses to older ones.
 
         It was aligned with all keyframes around here, so its error does not add to theirs as in a
-        chain. An edge to its neighbour and one to the oldest in sight, half of the information
-        each, drift as slowly as such an average does.
+        chain. An edge to its neighbour and one to the oldest in sight drift as slowly as such an
+        average does. The error of the newest keyframe is in both, a correlation of one half: so
+        together they say 2 / (1 + 1/2) times as much as one, two thirds each.
         """
         # Both keyframes of an edge err as scans do
         information = match.information / 2.0
         far = self._local_map.farthest_in_sight(points, self._poses) if match.trusted else None
-        near = information if far is None else information / 2.0
+        shared = information if far is None else information * (2.0 / 3.0)
         # Laser and wheels since the last keyframe are independent evidence: both count
-        covariance = np.linalg.inv(near + np.linalg.inv(self._since_keyframe))
+        covariance = np.linalg.inv(shared + np.linalg.inv(self._since_keyframe))
         edges = [self._edge(number - 1, number, covariance)]
         if far is not None:
-            open_far = np.asarray(np.linalg.inv(information / 2.0 + _OPEN), np.float64)
+            open_far = np.asarray(np.linalg.inv(shared + _OPEN), np.float64)
             edges.append(self._edge(far, number, open_far))
         return edges
 
