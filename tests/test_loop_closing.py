@@ -22,6 +22,7 @@ from rgslam.loop_closing import (
     old_chunks,
     propose_loop,
 )
+from rgslam.loop_closing.search import open_axes_as_predicted
 from rgslam.scan_matching import LaserGeometry, ScanStore, scan_points
 from rgslam.types import EdgeKind, FloatArray, LaserScan, PoseEdge
 
@@ -231,3 +232,15 @@ def test_the_largest_set_and_its_rival() -> None:
             agree[a, [b for b in group if b != a]] = True
     assert largest_consistent_set(agree) == ([0, 1, 2, 3], 2)
     assert largest_consistent_set(np.zeros((0, 0), bool)) == ([], 0)
+
+
+def test_what_a_loop_does_not_know_is_taken_from_the_prediction() -> None:
+    found, predicted = np.array([1.0, 0.0, 0.0]), np.array([1.6, 0.4, 0.1])
+    along_a_hallway = np.diag([10.0**2, 0.01**2, 0.002**2])
+    loose = np.diag([0.5**2, 0.5**2, 0.1**2])
+    open_axes = open_axes_as_predicted(found, along_a_hallway, predicted, loose, 0.3)
+    np.testing.assert_allclose(open_axes, [1.6, 0.0, 0.0], atol=0.01)
+    # A graph that claims to know the place does not pull at what the loop knows
+    sure = 1e-6 * np.eye(3)
+    kept = open_axes_as_predicted(found, 1e-4 * np.eye(3), predicted, sure, 0.3)
+    np.testing.assert_allclose(kept, found, atol=0.01)

@@ -15,7 +15,7 @@ from enum import Enum
 import numpy as np
 
 from rgslam.config import LoopClosingConfig
-from rgslam.geometry import between, compose, inverse
+from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.scan_matching import (
     ScanStore,
     agreement,
@@ -149,10 +149,11 @@ def propose_loop(
     old = build_surfel_map(*view.store.in_world(chunk, chunk_poses), config.resolution)
     patch_points, *_ = view.store.in_world(patch, between(view.poses[new], view.poses[patch]))
     points = thinned(patch_points, 2.0 * config.resolution)
+    predicted = between(view.poses[anchor], view.poses[new])
     match = correlate(
         old,
         points[:: max(1, len(points) // _SEARCH_POINTS)],
-        between(view.poses[anchor], view.poses[new]),
+        predicted,
         window,
         turn,
         min_score=config.min_score,
@@ -163,8 +164,12 @@ def propose_loop(
         view.store.scan(new), match.wTb, old, view.sigma,
         gate_schedule(4.0 * config.resolution, view.sigma),
     )  # fmt: skip
-    verdict = agreement(points, fine.wTb, view.store, chunk, chunk_poses, config.tolerance)
-    edge = PoseEdge(anchor, new, fine.wTb, _loop_covariance(fine.information, view), EdgeKind.LOOP)
+    loop_covariance = _loop_covariance(fine.information, view)
+    iTj = open_axes_as_predicted(
+        fine.wTb, loop_covariance, predicted, covariance, config.min_window
+    )
+    verdict = agreement(points, iTj, view.store, chunk, chunk_poses, config.tolerance)
+    edge = PoseEdge(anchor, new, iTj, loop_covariance, EdgeKind.LOOP)
     candidate = LoopCandidate(
         edge, match.score, match.rival_score, verdict.ratio, verdict.overlap, window
     )
@@ -180,6 +185,24 @@ def propose_loop(
     if match.rival_score > 0.0:
         return candidate.rejected(Rejection.AMBIGUOUS)
     return candidate
+
+
+def open_axes_as_predicted(
+    iTj: FloatArray,
+    covariance: FloatArray,
+    predicted: FloatArray,
+    at_anchor: FloatArray,
+    window: float,
+) -> FloatArray:
+    """The loop (3,), shifted to the prediction along what it does not know, as a bare hallway.
+
+    The weighted mean of both. The prediction counts as no better than the smallest window, so that
+    what the loop knows to centimetres stays its own: evidence of the graph is not fed back to it.
+    """
+    A = adjoint(inverse(predicted))
+    prior = A @ at_anchor @ A.T + window**2 * np.eye(3)
+    gain = covariance @ np.linalg.inv(covariance + prior)
+    return compose(iTj, gain @ between(iTj, predicted))
 
 
 def _loop_covariance(information: FloatArray, view: MapView) -> FloatArray:
