@@ -27,6 +27,7 @@ def kept(*boxes: np.ndarray, lines: list[list[int]] | None = None) -> list[int]:
         ids,
         np.ones((count, 4)),
         np.zeros(count, np.int64),
+        np.zeros(count, bool),
         {},
     )
     return rivals.without_rivals(quads, 0.8).tolist()

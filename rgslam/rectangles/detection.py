@@ -15,6 +15,8 @@ import numpy.typing as npt
 from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.config import Config
 from rgslam.errors import CalibrationError
+from rgslam.rectangles.alternatives import Readings, widened
+from rgslam.rectangles.edges_beside import edges_beside
 from rgslam.rectangles.gradients import GradientImage, gradient_image
 from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
 from rgslam.rectangles.line_segments import lines_of_gradient
@@ -28,9 +30,10 @@ from rgslam.rectangles.plane_normal import plane_normal
 from rgslam.rectangles.ray_plane import shape_score
 from rgslam.rectangles.rejection import Rejection
 from rgslam.rectangles.right_search import find_in_right
-from rgslam.rectangles.rivals import without_rivals
+from rgslam.rectangles.rivals import other_readings, without_rivals
 from rgslam.rectangles.thin_frames import outer_border
 from rgslam.rectangles.verification import (
+    FAINT_LOG_ODDS,
     LARGEST_COST,
     RightCorners,
     is_possible,
@@ -38,7 +41,7 @@ from rgslam.rectangles.verification import (
     rectangle_probability,
 )
 from rgslam.stereo.disparity import DisparityImage, compute_disparity
-from rgslam.types import FloatArray
+from rgslam.types import FloatArray, IntArray
 
 _GreyImage = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
@@ -124,6 +127,7 @@ def detect_rectangles(
         gradients[0],
         config.rectangles,
         lambda support, loose_ends: is_possible(support, loose_ends, least),
+        camera,
     )
     rejected.update(quads.rejected)
 
@@ -144,7 +148,9 @@ def detect_rectangles(
     estimates = _estimate(quads, measured, camera)
     found = _accept(quads, measured, estimates, config, rejected)
     return _detection(
-        tuple(_with_frame(one, (left, right), camera) for one in found), rejected, len(lines)
+        tuple(_with_border(one, (left, right), gradients, camera) for one in found),
+        rejected,
+        len(lines),
     )
 
 
@@ -163,13 +169,12 @@ def from_lower_left(quads: Quadrangles) -> Quadrangles:
     rows = np.arange(len(quads))[:, None]
     coordinates = (2 * order[:, :, None] + np.arange(2)).reshape(-1, 8)
     covariances = quads.covariances[rows[:, :, None], coordinates[:, :, None], coordinates[:, None]]
-    return Quadrangles(
-        quads.corners[rows, order],
-        covariances,
-        quads.lines[rows, order],
-        quads.support[rows, order],
-        quads.loose_ends,
-        quads.rejected,
+    return replace(
+        quads,
+        corners=quads.corners[rows, order],
+        covariances=covariances,
+        lines=quads.lines[rows, order],
+        support=quads.support[rows, order],
     )
 
 
@@ -227,12 +232,17 @@ def _accept(
 ) -> tuple[DetectedRectangle, ...]:
     section = config.rectangles
     probability = rectangle_probability(
-        quads.support, measured.support, estimates.costs, quads.loose_ends
+        quads.support,
+        measured.support,
+        estimates.costs,
+        quads.loose_ends,
+        np.where(quads.faint, FAINT_LOG_ODDS, 0.0),
     )
     sigma = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):
         vague = ~(sigma <= section.max_relative_sigma * estimates.sizes).all(axis=1)
     seen = np.isfinite(measured.corners).all(axis=(1, 2))
+    whole = estimates.converged & ~vague & seen
     tests = (
         (Rejection.VERIFICATION_FAILED, ~seen),
         (Rejection.NOT_CONVERGED, ~estimates.converged),
@@ -246,20 +256,91 @@ def _accept(
     order = np.flatnonzero(good)[np.argsort(-probability[good], kind="stable")]
     kept = without_rivals(quads.take(order), section.max_overlap)
     rejected[Rejection.DUPLICATE] += len(order) - len(kept)
-    return tuple(_rectangle(int(i), quads, measured, estimates, probability) for i in order[kept])
+    readings = Readings(
+        estimates,
+        quads.corners,
+        quads.covariances,
+        measured.corners,
+        measured.covariances,
+        _odds(probability),
+    )
+    every = np.flatnonzero(whole)[np.argsort(-probability[whole], kind="stable")]
+    same = other_readings(quads.corners[every], quads.corners[order[kept]], section.max_overlap)
+    return tuple(
+        replace(
+            _rectangle(best, quads, measured, estimates, probability),
+            **_allowing_for(readings, best, every[same[k] & (every != best)]),
+        )
+        for k, best in enumerate(order[kept].tolist())
+    )
 
 
-def _with_frame(
-    found: DetectedRectangle, images: tuple[_GreyImage, _GreyImage], camera: StereoCamera
+def _odds(probability: FloatArray | float) -> FloatArray:
+    return probability / np.maximum(1.0 - np.asarray(probability), 1e-9)
+
+
+def _allowing_for(readings: Readings, best: int, others: IntArray) -> dict[str, Any]:
+    """The fields of a `DetectedRectangle` that other readings of the same thing change."""
+    wider = widened(readings, best, others)
+    slopes = corner_jacobians(
+        readings.estimates.rotations[[best]], readings.estimates.sizes[[best]]
+    )[0]
+    return {
+        "covariance": wider.covariance,
+        "corner_covariances": slopes @ wider.covariance @ slopes.transpose(0, 2, 1),
+        "left_covariance": wider.left_covariance,
+        "right_covariance": wider.right_covariance,
+    }
+
+
+def _with_border(
+    found: DetectedRectangle,
+    images: tuple[_GreyImage, _GreyImage],
+    gradients: tuple[GradientImage, GradientImage],
+    camera: StereoCamera,
 ) -> DetectedRectangle:
-    """The same thing as far as its thin frame reaches, if it has one."""
+    """The same thing as far as its thin frame reaches; unsure where another edge may be its end."""
+    slopes = _outward_slopes(found, camera)
+    framed = _with_frame(found, images, slopes, camera)
+    if framed is not None:
+        return framed
+    corners = np.array([found.left_px, found.right_px])
+    others = edges_beside(gradients, corners, slopes)
+    if not others:
+        return found
+    left = np.array([found.left_px, *(other.left_px for other in others)])
+    right = np.array([found.right_px, *(other.right_px for other in others)])
+    own = np.broadcast_to(found.left_covariance, (len(left), 8, 8))
+    own_right = np.broadcast_to(found.right_covariance, (len(left), 8, 8))
+    fitted = fit_rectangles(
+        CornerMeasurements.of(left, own, right_px=right, right_covariance=own_right), camera
+    )
+    # One border is as good as the other, but for how well both images agree on one rectangle.
+    odds = np.exp(-0.5 * np.clip(fitted.costs - fitted.costs[0], -50.0, 50.0))
+    readings = Readings(fitted, left, own, right, own_right, odds * fitted.converged)
+    if not fitted.converged[0]:
+        return found
+    return replace(found, **_allowing_for(readings, 0, 1 + np.arange(len(others))))
+
+
+def _outward_slopes(found: DetectedRectangle, camera: StereoCamera) -> FloatArray:
+    """How far the corners move (2, 4, 2) in either image, px per metre that all sides move out."""
     by_size = corner_jacobians(found.rotation[None], found.size[None])[0, :, :, 6:]
     wider = found.corners + 2.0 * _WIDENING * by_size.sum(axis=2)
     project = (camera.project, camera.project_right)
-    slopes = np.array([(p(wider) - p(found.corners)) / _WIDENING for p in project])
+    return np.array([(p(wider) - p(found.corners)) / _WIDENING for p in project])
+
+
+def _with_frame(
+    found: DetectedRectangle,
+    images: tuple[_GreyImage, _GreyImage],
+    slopes: FloatArray,
+    camera: StereoCamera,
+) -> DetectedRectangle | None:
+    """The same thing as far as its thin frame reaches, if it has one."""
     border = outer_border(images, np.array([found.left_px, found.right_px]), slopes)
     if border is None:
-        return found
+        return None
     left_covariance = found.left_covariance + border.covariances[0]
     right_covariance = found.right_covariance + border.covariances[1]
     measurements = CornerMeasurements.of(
@@ -270,7 +351,7 @@ def _with_frame(
     )
     fitted = fit_rectangles(measurements, camera)
     if not fitted.converged[0] or fitted.costs[0] > LARGEST_COST:
-        return found
+        return None
     return replace(
         found,
         **estimated(fitted, 0),

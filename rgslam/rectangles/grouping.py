@@ -28,7 +28,7 @@ _SMALL, _PARALLEL, _CROSSED, _ANGLE, _WEAK = range(5)
 _GOOD = -1
 # px from a corner between which a line is asked whether it goes on, or stops short of it, and the
 # share of an edge that says yes.
-_NEAR_PX, _FAR_PX, _EDGE = 3.0, 9.0, 0.6
+NEAR_PX, FAR_PX, EDGE = 3.0, 9.0, 0.6
 _MOST_U = 400_000  # open U's kept; an image of clutter has 50,000
 _MOST_FOUND = 50_000  # quadrangles kept, in the order of the lines (the longest first)
 
@@ -120,7 +120,7 @@ def intersections(
 
 
 @njit(cache=True)
-def _share(
+def share_seen(
     i: int, a: float, b: float, cumulated: FloatArray, first: IntArray, count: IntArray,
     begin: FloatArray,
 ) -> float:  # fmt: skip
@@ -156,7 +156,7 @@ def _open_sides(
                 b = near[q]
                 if abs(along[j, a] - along[j, b]) < least:
                     continue
-                share = _share(j, along[j, a], along[j, b], cumulated, first, count, begin)
+                share = share_seen(j, along[j, a], along[j, b], cumulated, first, count, begin)
                 if share >= least_support and total < _MOST_U:
                     sides[total], arm[total, 0], arm[total, 1], shares[total] = j, a, b, share
                     total += 1
@@ -212,9 +212,11 @@ def _closed(
                     continue
                 lines[0], lines[1], lines[2], lines[3] = j, b, l, a
                 share[0], share[2] = own_share[p], own_share[q]
-                share[1] = _share(b, along[b, j], along[b, l], cumulated, first, count, begin)
+                share[1] = share_seen(b, along[b, j], along[b, l], cumulated, first, count, begin)
                 if share[1] >= limits[2]:
-                    share[3] = _share(a, along[a, j], along[a, l], cumulated, first, count, begin)
+                    share[3] = share_seen(
+                        a, along[a, j], along[a, l], cumulated, first, count, begin
+                    )
                 if share[1] < limits[2] or share[3] < limits[2]:
                     refused[_WEAK] += 1
                     continue
@@ -222,7 +224,7 @@ def _closed(
                 if reason != _GOOD:
                     refused[reason] += 1
                     continue
-                crossed, loose = _crossed(lines, along, cumulated, first, count, begin)
+                crossed, loose = loose_ends_of(lines, along, cumulated, first, count, begin)
                 if crossed > limits[4]:
                     refused[_WEAK] += 1
                     continue
@@ -263,7 +265,7 @@ def _refusal(
 
 
 @njit(cache=True)
-def _crossed(
+def loose_ends_of(
     lines: IntArray, along: FloatArray, cumulated: FloatArray, first: IntArray, count: IntArray,
     begin: FloatArray,
 ) -> tuple[int, int]:  # fmt: skip
@@ -280,10 +282,10 @@ def _crossed(
         out_j = 1.0 if along[j, i] > along[j, after] else -1.0
         beyond = 0
         for line, place, out in ((i, along[i, j], out_i), (j, along[j, i], out_j)):
-            near, far = place + _NEAR_PX * out, place + _FAR_PX * out
-            past = _share(line, near, far, cumulated, first, count, begin) > _EDGE
-            near, far = place - _FAR_PX * out, place - _NEAR_PX * out
-            short = _share(line, near, far, cumulated, first, count, begin) < 1.0 - _EDGE
+            near, far = place + NEAR_PX * out, place + FAR_PX * out
+            past = share_seen(line, near, far, cumulated, first, count, begin) > EDGE
+            near, far = place - FAR_PX * out, place - NEAR_PX * out
+            short = share_seen(line, near, far, cumulated, first, count, begin) < 1.0 - EDGE
             beyond += past
             loose += past or short
         crossed += beyond == 2

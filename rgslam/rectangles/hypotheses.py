@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from rgslam.camera import PinholeCamera
 from rgslam.config import RectangleConfig
+from rgslam.rectangles.faint_lines import refine_sides
 from rgslam.rectangles.gradients import GradientImage
 from rgslam.rectangles.grouping import (
     REASONS,
@@ -25,7 +27,7 @@ from rgslam.rectangles.grouping import (
     distinct,
     intersections,
 )
-from rgslam.rectangles.line_segments import ImageLines, refine_lines
+from rgslam.rectangles.line_segments import ImageLines
 from rgslam.rectangles.line_support import line_support
 from rgslam.rectangles.rejection import Rejection
 from rgslam.types import FloatArray, IntArray
@@ -43,6 +45,7 @@ class Quadrangles:
     lines: IntArray  # (k, 4), side s joins corners s and s + 1 and lies on this line
     support: FloatArray  # (k, 4), share of each side on which the image has an edge
     loose_ends: IntArray  # (k,), of the eight ends of sides: how many do not end at the corner
+    faint: npt.NDArray[np.bool_]  # (k,), a side was looked for where the others want it
     rejected: Mapping[Rejection, int]
 
     def __len__(self) -> int:
@@ -50,14 +53,8 @@ class Quadrangles:
 
     def take(self, index: IntArray) -> Quadrangles:
         """Some of the hypotheses, in the order of the index."""
-        return Quadrangles(
-            self.corners[index],
-            self.covariances[index],
-            self.lines[index],
-            self.support[index],
-            self.loose_ends[index],
-            self.rejected,
-        )
+        kept = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "rejected"}
+        return Quadrangles(**kept, rejected=self.rejected)
 
 
 def find_quadrangles(
@@ -65,6 +62,7 @@ def find_quadrangles(
     gradient: GradientImage,
     config: RectangleConfig,
     worth: Callable[[FloatArray, IntArray], npt.NDArray[np.bool_]] | None = None,
+    camera: PinholeCamera | None = None,
 ) -> Quadrangles:
     """Group lines into quadrangles, the best supported first.
 
@@ -74,9 +72,10 @@ def find_quadrangles(
         config: Section `rectangles`.
         worth: Which quadrangles (k,) are worth to be measured, by support (k, 4) and loose ends
             (k,); None = all.
+        camera: That took it; with it, a fourth side is found where no line shows it.
     """
     rejected: dict[Rejection, int] = {}
-    if len(lines) < 4:
+    if len(lines) < (4 if camera is None else 3):
         rejected[Rejection.TOO_FEW_LINES] = 1
         return _none(rejected)
     shape = (gradient.xy.shape[0], gradient.xy.shape[1])
@@ -90,21 +89,26 @@ def find_quadrangles(
         good = worth(quality, loose_ends)
         rejected[Rejection.WEAK_BORDER] += int((~good).sum())
         members, quality, loose_ends = members[good], quality[good], loose_ends[good]
-    if not len(members):
-        return _none(rejected)
     found = _ranked(lines, corners, members, quality, loose_ends, config)
     rejected[Rejection.DUPLICATE] = len(members) - len(found.corners)
-    return replace(_by_own_sides(found, len(lines), gradient, config), rejected=rejected)
+    if camera is not None:
+        from rgslam.rectangles.faint_sides import add_faint_sides  # which builds on these
+
+        found = add_faint_sides(found, lines, corners, support, gradient, camera, config)
+    if not len(found):
+        return _none(rejected)
+    return replace(_by_own_sides(found, gradient, config), rejected=rejected)
 
 
 def _by_own_sides(
-    quads: Quadrangles, line_count: int, gradient: GradientImage, config: RectangleConfig
+    quads: Quadrangles, gradient: GradientImage, config: RectangleConfig
 ) -> Quadrangles:
     """Corners from edges fitted to the sides alone.
 
     A line may be longer than the side on it: along a row of windows that is hung less straight than
     an edge is seen, or that the lens bends.
     """
+    line_count = int(quads.lines.max(initial=0)) + 1
     before, after = np.roll(quads.lines, 1, axis=1), np.roll(quads.lines, -1, axis=1)
     ends = np.minimum(before, after) * line_count + np.maximum(before, after)
     # Many quadrangles share a side: each is fitted once.
@@ -112,7 +116,7 @@ def _by_own_sides(
         quads.lines * line_count**2 + ends, return_index=True, return_inverse=True
     )
     sides = np.stack([quads.corners, np.roll(quads.corners, -1, axis=1)], axis=2)
-    own = refine_lines(sides.reshape(-1, 2, 2)[first], gradient, config)
+    own = refine_sides(sides.reshape(-1, 2, 2)[first], gradient, config)
     corners, covariances = corners_of_lines(own, index.reshape(-1, 4), config.corner_sigma_px)
     moved = np.abs(corners - quads.corners).max(axis=(1, 2))
     seen = own.seen[index.reshape(-1, 4)].min(axis=1)
@@ -132,6 +136,7 @@ def _none(rejected: Mapping[Rejection, int]) -> Quadrangles:
         empty,
         np.zeros((0, 4)),
         np.zeros(0, np.int64),
+        np.zeros(0, bool),
         rejected,
     )
 
@@ -214,7 +219,8 @@ def _ranked(
     members = np.where(clockwise[:, None], members[:, ::-1], members)
     quality = np.where(clockwise[:, None], quality[:, ::-1], quality)
     points, covariances = corners_of_lines(lines, members, config.corner_sigma_px)
-    return Quadrangles(points, covariances, members, quality, loose_ends[kept], {})
+    none = np.zeros(len(kept), bool)
+    return Quadrangles(points, covariances, members, quality, loose_ends[kept], none, {})
 
 
 def hypothesis_scores(corners: FloatArray, support: FloatArray, loose_ends: IntArray) -> FloatArray:

@@ -66,21 +66,21 @@ def fit_lines(
                 v[k], weight[k] = edge_across(
                     xy, x + u[k] * ax, y + u[k] * ay, ay, -ax, half, step, least, response
                 )
-            offset, slope, scatter = _robust_line(
+            offset, slope, scatter = robust_line(
                 u, v, weight, robust, length, half * step, edge_sigma
             )
             x, y = x + offset * ay, y - offset * ax
             turned = math.hypot(1.0, slope)
             ax, ay = (ax + slope * ay) / turned, (ay - slope * ax) / turned
         lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3] = x, y, ax, ay
-        seen[i] = _covariance(
+        seen[i] = line_covariance(
             u, robust, scatter, length, reach, edge_sigma, correlation, covariances[i]
         )
     return lines, covariances, seen
 
 
 @njit(cache=True)
-def _robust_line(
+def robust_line(
     u: FloatArray, v: FloatArray, weight: FloatArray, robust: FloatArray, length: float,
     reach: float, edge_sigma: float,
 ) -> tuple[float, float, float]:  # fmt: skip
@@ -109,7 +109,7 @@ def _robust_line(
 
 
 @njit(cache=True)
-def _covariance(
+def line_covariance(
     u: FloatArray, weight: FloatArray, scatter: float, length: float, reach: float,
     edge_sigma: float, correlation: float, covariance: FloatArray,
 ) -> float:  # fmt: skip

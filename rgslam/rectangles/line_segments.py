@@ -61,6 +61,11 @@ class ImageLines:
         """Some of the lines."""
         return ImageLines(*(getattr(self, field.name)[index] for field in fields(self)))
 
+    def joined(self, others: ImageLines) -> ImageLines:
+        """These lines, then the others."""
+        pairs = ((getattr(self, f.name), getattr(others, f.name)) for f in fields(self))
+        return ImageLines(*(np.concatenate(pair) for pair in pairs))
+
 
 def detect_lines(image: _GreyImage, config: RectangleConfig) -> ImageLines:
     """Straight edges of a grey image, the longest first."""
@@ -106,6 +111,13 @@ def refine_lines(
         config.edge_sigma_px,
         config.edge_correlation_px,
     )
+    return lines_of_fits(segments, found, covariance, seen)
+
+
+def lines_of_fits(
+    segments: FloatArray, found: FloatArray, covariance: FloatArray, seen: FloatArray
+) -> ImageLines:
+    """Lines as long as rough segments (n, 2, 2), at fitted midpoints and directions (n, 4)."""
     middle, along = found[:, :2], found[:, 2:]
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)  # along = normal turned by +90 degrees
     length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)

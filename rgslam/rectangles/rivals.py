@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rgslam.rectangles.hypotheses import Quadrangles
@@ -23,6 +24,23 @@ def without_rivals(quads: Quadrangles, max_overlap: float) -> IntArray:
     share lines, but for a part of the better one with an end to its own border, as a pane has.
     """
     return _kept(np.ascontiguousarray(quads.corners), quads.lines, quads.loose_ends, max_overlap)
+
+
+@njit(cache=True)
+def other_readings(
+    corners: FloatArray, kept: FloatArray, min_overlap: float
+) -> npt.NDArray[np.bool_]:
+    """Which quadrangles (k, 4, 2) nearly coincide with which of those kept (n, 4, 2), as (n, k)."""
+    room = np.empty((2, 8, 2))
+    same = np.zeros((len(kept), len(corners)), dtype=np.bool_)
+    for i in range(len(kept)):
+        own = _area(kept[i], 4)
+        for k in range(len(corners)):
+            if _apart(corners[k], kept[i]):
+                continue
+            common = _area(room[0], _clipped(corners[k], kept[i], room))
+            same[i, k] = common > min_overlap * (own + _area(corners[k], 4) - common)
+    return same
 
 
 @njit(cache=True)

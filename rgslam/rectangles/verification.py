@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from rgslam.config import RectangleConfig
+from rgslam.rectangles.faint_lines import refine_sides
 from rgslam.rectangles.gradients import GradientImage
 from rgslam.rectangles.hypotheses import corners_of_lines
-from rgslam.rectangles.line_segments import refine_lines
 from rgslam.types import FloatArray, IntArray
 
 # Log odds, by logistic regression over the hypotheses (1700, of which 100 are named things) of 76
@@ -25,6 +25,8 @@ from rgslam.types import FloatArray, IntArray
 # halves agree with the stated probabilities; `tests/reliability.py` prints the table.
 _BASE, _LEFT, _RIGHT, _COST = -3.5, 4.7, 4.3, -0.6
 _LOOSE = -np.array([0.0, 2.0, 3.6, 4.8, 6.0, 7.2, 8.4, 9.6, 10.8])
+#: Of a hypothesis with a side that was looked for: more places were tried than lines are found.
+FAINT_LOG_ODDS = -1.5
 # A chi-square of eight degrees of freedom is larger in 0.1 % of the cases: beyond it the model is
 # wrong, at the rate at which errors of three times the stated size would be.
 LARGEST_COST, _MISFIT = 26.0, -0.5 / 9.0
@@ -53,7 +55,7 @@ def measure_in_right(
     """
     count = len(predicted)
     sides = np.stack([predicted, np.roll(predicted, -1, axis=1)], axis=2).reshape(-1, 2, 2)
-    lines = refine_lines(sides, right, config)
+    lines = refine_sides(sides, right, config)
     corners, covariances = corners_of_lines(
         lines, np.arange(4 * count).reshape(count, 4), config.corner_sigma_px
     )

@@ -1,0 +1,149 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A second edge beside a side of a rectangle, as far off as things are thick.
+
+A board, a monitor or a picture shows its side face beside its front, a door its casing. The line
+detector sees the stronger of the two edges; which of them is the front's border, it cannot know.
+Both images have to show the other edge, at places that belong to one another.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rgslam.rectangles.faint_lines import mean_profile, step_sigma
+from rgslam.rectangles.gradients import GradientImage
+from rgslam.types import FloatArray
+
+_THICKEST = 0.06  # m, of what hangs on walls or stands on desks, and of casings
+_FARTHEST = 12.0  # px, wider ones show two lines
+_NEAREST = 2.0  # px, nearer ones are drawn into one edge
+_STEP, _FLANK = 0.5, 6  # px between samples; of these, from an edge to the valley beside it
+_PIECES = 6  # of a side: the other edge runs along all of it
+_SIGMAS, _LEAST = 4.0, 0.8  # of a piece with an edge, and share of the side that has one
+_INNER = 0.8  # share of a side that is looked at: beyond, its neighbours begin
+_TOGETHER = 1.0  # px between where both images see it: what two fits of a faint edge err
+_LARGEST = 40  # samples to either side that fit into the room
+
+
+@dataclass(frozen=True, eq=False)
+class OtherEdge:
+    """Where the corners would be if the other edge were the border."""
+
+    left_px: FloatArray  # (4, 2)
+    right_px: FloatArray  # (4, 2)
+
+
+def edges_beside(
+    gradients: tuple[GradientImage, GradientImage], corners: FloatArray, slopes: FloatArray
+) -> list[OtherEdge]:
+    """Look beside each side, inwards and outwards.
+
+    Args:
+        gradients: Of the left and right image.
+        corners: (2, 4, 2), px, of a rectangle in either image, in order around.
+        slopes: (2, 4, 2), px per metre that the corners move when every side moves outwards.
+    """
+    found = []
+    for side in range(4):
+        n = (side + 1) % 4
+        normals, scales = [], []
+        for i in range(2):
+            along = corners[i, n] - corners[i, side]
+            normal = np.array([along[1], -along[0]]) / max(float(np.hypot(*along)), 1e-9)
+            outward = normal * np.sign((corners[i, side] - corners[i].mean(axis=0)) @ normal)
+            normals.append(outward)
+            scales.append(float((slopes[i, side] + slopes[i, n]) @ outward) / 2.0)
+        if min(scales) <= 0.0:
+            continue
+        places = [
+            _other_places(
+                gradients[i].xy,
+                gradients[i].noise,
+                corners[i, side],
+                corners[i, n],
+                normals[i],
+                min(_THICKEST * scales[i], _FARTHEST),
+            )
+            for i in range(2)
+        ]
+        for off in places[0]:
+            partner = off * scales[1] / scales[0]
+            if len(places[1]) and np.abs(places[1] - partner).min() <= _TOGETHER:
+                other = float(places[1][np.abs(places[1] - partner).argmin()])
+                moved = [
+                    _moved(corners[i], side, normals[i], o) for i, o in enumerate((off, other))
+                ]
+                found.append(OtherEdge(*moved))
+    return found
+
+
+def _moved(corners: FloatArray, side: int, normal: FloatArray, off: float) -> FloatArray:
+    """Corners (4, 2) when one side moves by so many pixels; they stay on the sides next to it."""
+    n, before, after = (side + 1) % 4, (side - 1) % 4, (side + 2) % 4
+    result = corners.copy()
+    for corner, neighbour in ((side, before), (n, after)):
+        along = corners[corner] - corners[neighbour]
+        result[corner] = corners[corner] + off * along / max(float(along @ normal), 1e-6)
+    return result
+
+
+def _other_places(
+    xy: npt.NDArray[np.float32],
+    noise: float,
+    start: FloatArray,
+    end: FloatArray,
+    outward: FloatArray,
+    reach: float,
+) -> FloatArray:
+    """Places (n,) of other edges, px outwards of a side."""
+    if reach < _NEAREST:
+        return np.zeros(0)
+    room = np.empty((_PIECES, 2 * _LARGEST + 1))
+    places = np.empty(2 * _LARGEST)
+    count = _peaks(xy, noise, start, end, outward, reach, room, places)
+    return places[:count].copy()
+
+
+@njit(cache=True)
+def _peaks(
+    xy: npt.NDArray[np.float32], noise: float, start: FloatArray, end: FloatArray,
+    outward: FloatArray, reach: float, room: FloatArray, places: FloatArray,
+) -> int:  # fmt: skip
+    """Write the places of other edges; their number."""
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    length = max(math.hypot(dx, dy), 1e-9)
+    ax, ay = dx / length, dy / length
+    if ay * outward[0] - ax * outward[1] < 0.0:
+        ax, ay = -ax, -ay  # so that the profile runs outwards
+    half = min(int(reach / _STEP) + 1 + _FLANK, (room.shape[1] - 1) // 2)
+    x, y = 0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])
+    mean_profile(xy, x, y, ax, ay, _INNER * length, _PIECES, half, _STEP, room)
+    sigma = _SIGMAS * step_sigma(noise, _INNER * length / _PIECES)
+    mean = np.zeros(2 * half + 1)
+    for p in range(_PIECES):
+        mean += room[p, : 2 * half + 1] / _PIECES
+    total = 0
+    for t in range(_FLANK, 2 * half + 1 - _FLANK):
+        off, sign = _STEP * (t - half), 1.0 if mean[t] > 0.0 else -1.0
+        if abs(off) < _NEAREST or abs(off) > reach:
+            continue
+        peak = sign * mean[t]
+        if peak < sign * mean[t - 1] or peak <= sign * mean[t + 1]:
+            continue
+        # An edge rises above the valleys on either side: between it and the side, and beyond.
+        low, high = (t - _FLANK, half) if t < half else (half, t + _FLANK)
+        first, second = low + np.argmin(sign * mean[low:t]), t + np.argmin(sign * mean[t:high])
+        share = 0.0
+        for p in range(_PIECES):
+            valley = max(sign * room[p, first], sign * room[p, second])
+            share += min(max(sign * room[p, t] - valley, 0.0) / sigma, 1.0) ** 2 / _PIECES
+        if share >= _LEAST:
+            places[total] = off
+            total += 1
+    return total

@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 The rgslam authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What other readings of one border add to its covariance, and where a second edge is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from stereo_scenes import CAMERA, Board, facing, render
+
+from rgslam.rectangles.alternatives import Readings, widened
+from rgslam.rectangles.detection import detect_rectangles
+from rgslam.rectangles.maximum_likelihood import CornerMeasurements, fit_rectangles
+from rgslam.rectangles.rivals import other_readings
+
+FRONT = Board(facing(), np.array([0.1, 0.0, 2.0]), (0.5, 0.4), 40.0)
+
+
+def readings(*widths: float, odds: list[float]) -> Readings:
+    """Boards like the front, but wider, seen without error."""
+    boards = [Board(FRONT.rotation, FRONT.centre, (w, 0.4)) for w in widths]
+    left = np.array([CAMERA.project(b.corners) for b in boards])
+    right = np.array([CAMERA.project_right(b.corners) for b in boards])
+    own = np.broadcast_to(0.01 * np.eye(8), (len(boards), 8, 8))
+    fitted = fit_rectangles(
+        CornerMeasurements.of(left, own, right_px=right, right_covariance=own), CAMERA
+    )
+    return Readings(fitted, left, own, right, own, np.array(odds))
+
+
+def test_two_equal_readings_add_half_the_square_of_what_is_between_them() -> None:
+    both = readings(0.5, 0.54, odds=[3.0, 3.0])
+    alone = both.estimates.covariances[0]
+    result = widened(both, 0, np.array([1]))
+    added = result.covariance - 0.5 * (alone + both.estimates.covariances[1])
+    assert added[6, 6] == pytest.approx(0.5 * 0.04**2, rel=1e-3)
+    assert np.abs(np.delete(np.diag(added), 6)).max() < 1e-8
+    half = 0.5 * 0.04 * CAMERA.fx / 2.0  # px by which each corner moves
+    assert np.diag(result.left_covariance)[::2] == pytest.approx(0.01 + 0.5 * half**2)
+
+
+def test_what_is_unlikely_or_the_same_adds_little() -> None:
+    unlikely = readings(0.5, 0.54, odds=[99.0, 1.0])
+    added = widened(unlikely, 0, np.array([1])).covariance - unlikely.estimates.covariances[0]
+    assert added[6, 6] == pytest.approx(0.01 * 0.04**2, rel=0.05)
+    same = readings(0.5, 0.5005, odds=[1.0, 1.0])
+    assert widened(same, 0, np.array([1])).covariance == pytest.approx(
+        same.estimates.covariances[0]
+    )
+
+
+def test_readings_nearly_coincide() -> None:
+    box = np.array([[0.0, 100.0], [100.0, 100.0], [100.0, 0.0], [0.0, 0.0]])
+    found = other_readings(
+        np.array([box * [1.1, 1.0], box * [1.5, 1.0], box + 200]), box[None], 0.8
+    )
+    assert found.tolist() == [[True, False, False]]
+
+
+def test_a_side_face_widens_the_size_and_no_more() -> None:
+    # 4 cm of side face to the right, hardly lighter than the front
+    face = Board(FRONT.rotation, FRONT.centre + np.array([0.27, 0, 0]), (0.04, 0.4), 48.0)
+    plain = detect_rectangles(*render([FRONT], seed=5), CAMERA).rectangles
+    thick = detect_rectangles(*render([face, FRONT], seed=5), CAMERA).rectangles
+    assert len(plain) == len(thick) == 1
+    assert plain[0].size_sigma[0] < 0.01
+    assert thick[0].size_sigma[0] > 0.5 * 0.04
+    assert thick[0].size_sigma[1] < 0.01
+    assert abs(thick[0].size[0] - 0.5) < 3.0 * thick[0].size_sigma[0]
