@@ -305,7 +305,7 @@ def _with_border(
     if framed is not None:
         return framed
     corners = np.array([found.left_px, found.right_px])
-    others = edges_beside(gradients, corners, slopes)
+    others = edges_beside(gradients, corners, camera.fx / float(found.translation[2]))
     if not others:
         return found
     left = np.array([found.left_px, *(other.left_px for other in others)])

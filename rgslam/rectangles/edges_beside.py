@@ -28,6 +28,7 @@ _PIECES = 6  # of a side: the other edge runs along all of it
 _SIGMAS, _LEAST = 4.0, 0.8  # of a piece with an edge, and share of the side that has one
 _INNER = 0.8  # share of a side that is looked at: beyond, its neighbours begin
 _TOGETHER = 1.0  # px between where both images see it: what two fits of a faint edge err
+_PARALLAX = 0.1  # of its distance, by which an edge at another depth moves between the images
 _LARGEST = 40  # samples to either side that fit into the room
 
 
@@ -40,47 +41,37 @@ class OtherEdge:
 
 
 def edges_beside(
-    gradients: tuple[GradientImage, GradientImage], corners: FloatArray, slopes: FloatArray
+    gradients: tuple[GradientImage, GradientImage], corners: FloatArray, px_per_metre: float
 ) -> list[OtherEdge]:
     """Look beside each side, inwards and outwards.
 
     Args:
         gradients: Of the left and right image.
         corners: (2, 4, 2), px, of a rectangle in either image, in order around.
-        slopes: (2, 4, 2), px per metre that the corners move when every side moves outwards.
+        px_per_metre: At its distance, of what faces the camera.
     """
+    reach = min(_THICKEST * px_per_metre, _FARTHEST)
+    if reach < _NEAREST:
+        return []
     found = []
     for side in range(4):
-        n = (side + 1) % 4
-        normals, scales = [], []
-        for i in range(2):
-            along = corners[i, n] - corners[i, side]
-            normal = np.array([along[1], -along[0]]) / max(float(np.hypot(*along)), 1e-9)
-            outward = normal * np.sign((corners[i, side] - corners[i].mean(axis=0)) @ normal)
-            normals.append(outward)
-            scales.append(float((slopes[i, side] + slopes[i, n]) @ outward) / 2.0)
-        if min(scales) <= 0.0:
-            continue
+        outward = np.array([_outward(corners[i], side) for i in range(2)])
         places = [
-            _other_places(
-                gradients[i].xy,
-                gradients[i].noise,
-                corners[i, side],
-                corners[i, n],
-                normals[i],
-                min(_THICKEST * scales[i], _FARTHEST),
-            )
-            for i in range(2)
+            _other_places(gradients[i], corners[i], side, outward[i], reach) for i in range(2)
         ]
         for off in places[0]:
-            partner = off * scales[1] / scales[0]
-            if len(places[1]) and np.abs(places[1] - partner).min() <= _TOGETHER:
-                other = float(places[1][np.abs(places[1] - partner).argmin()])
-                moved = [
-                    _moved(corners[i], side, normals[i], o) for i, o in enumerate((off, other))
-                ]
+            apart = np.abs(places[1] - off)
+            if apart.min(initial=np.inf) <= _TOGETHER + _PARALLAX * abs(off):
+                both = (off, float(places[1][apart.argmin()]))
+                moved = [_moved(corners[i], side, outward[i], both[i]) for i in range(2)]
                 found.append(OtherEdge(*moved))
     return found
+
+
+def _outward(corners: FloatArray, side: int) -> FloatArray:
+    along = corners[(side + 1) % 4] - corners[side]
+    normal = np.array([along[1], -along[0]]) / max(float(np.hypot(*along)), 1e-9)
+    return np.asarray(normal * np.sign((corners[side] - corners.mean(axis=0)) @ normal))
 
 
 def _moved(corners: FloatArray, side: int, normal: FloatArray, off: float) -> FloatArray:
@@ -94,19 +85,13 @@ def _moved(corners: FloatArray, side: int, normal: FloatArray, off: float) -> Fl
 
 
 def _other_places(
-    xy: npt.NDArray[np.float32],
-    noise: float,
-    start: FloatArray,
-    end: FloatArray,
-    outward: FloatArray,
-    reach: float,
+    gradient: GradientImage, corners: FloatArray, side: int, outward: FloatArray, reach: float
 ) -> FloatArray:
     """Places (n,) of other edges, px outwards of a side."""
-    if reach < _NEAREST:
-        return np.zeros(0)
     room = np.empty((_PIECES, 2 * _LARGEST + 1))
     places = np.empty(2 * _LARGEST)
-    count = _peaks(xy, noise, start, end, outward, reach, room, places)
+    start, end = corners[side], corners[(side + 1) % 4]
+    count = _peaks(gradient.xy, gradient.noise, start, end, outward, reach, room, places)
     return places[:count].copy()
 
 
