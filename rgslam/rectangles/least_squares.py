@@ -32,8 +32,8 @@ _START_DAMPING, _MOST_DAMPING = 1e-3, 1e12
 
 
 @njit(cache=True)
-def _turn(rotation: FloatArray, omega: FloatArray, result: FloatArray) -> None:
-    """`R exp(omega)`, written to `result`: rows of R turned by Rodrigues' formula."""
+def turn_back(rotation: FloatArray, omega: FloatArray, result: FloatArray) -> None:
+    """`R exp(-omega)`, written to `result`: rows of R turned by Rodrigues' formula."""
     x, y, z = omega[0], omega[1], omega[2]
     square = x * x + y * y + z * z
     if square < 1e-12:  # series: the next terms are below the precision of a double
@@ -116,7 +116,7 @@ def linearise(
 
 
 @njit(cache=True)
-def _cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray) -> bool:
+def cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray) -> bool:
     """Solve `matrix x = right` for a positive definite (8, 8) matrix, which is overwritten."""
     n = UNKNOWNS
     for j in range(n):
@@ -145,7 +145,7 @@ def _cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray)
 
 
 @njit(cache=True)
-def _normal_equations(
+def normal_equations(
     residuals: FloatArray, jacobian: FloatArray, normal: FloatArray, gradient: FloatArray
 ) -> float:
     """J^T J and J^T r, written; the cost r^T r is returned."""
@@ -207,13 +207,13 @@ def minimise(
     arguments = (camera, measured, whiteners, depth_weights, with_right, residuals, jacobian)
     if not linearise(rotation, translation, size, *arguments):
         return np.inf, False
-    cost = _normal_equations(residuals, jacobian, normal, gradient)
+    cost = normal_equations(residuals, jacobian, normal, gradient)
     damping, growth = _START_DAMPING, 4.0
     for _ in range(_MAX_ITERATIONS):
         _damp(normal, damping, damped)
-        better = _cholesky_solve(damped, gradient, step)
+        better = cholesky_solve(damped, gradient, step)
         if better:
-            _turn(rotation, step, turned)
+            turn_back(rotation, step, turned)
             for i in range(3):
                 moved[i] = translation[i]
                 for j in range(3):
@@ -228,7 +228,7 @@ def minimise(
                 for j in range(3):
                     rotation[i, j] = turned[i, j]
             size[0], size[1] = sized[0], sized[1]
-            cost = _normal_equations(residuals, jacobian, normal, gradient)
+            cost = normal_equations(residuals, jacobian, normal, gradient)
             if small:
                 return cost, True
             damping, growth = max(damping / 8.0, 1e-12), 4.0

@@ -24,10 +24,14 @@ from rgslam.rectangles import ambiguity, least_squares, starts
 from rgslam.rectangles.least_squares import SIDE
 from rgslam.rectangles.measurements import CornerMeasurements as CornerMeasurements
 from rgslam.rectangles.measurements import Problem
+from rgslam.rectangles.profile_likelihood import widen_by_profiles
 from rgslam.types import FloatArray
 
 # Sigmas of perspective below which the mirror image of a tilt is tried too (its chi-square is 25).
 _WEAK_PERSPECTIVE = 5.0
+# rad, standard deviation of a tilt from which on its curvature shows in the size (by 2e-4 of it).
+_VAGUE_TILT = 0.02
+_FITS_SIGMAS = 6.0  # of the chi-square: beyond, no covariance is worth an effort
 # Chi-square per excess measurement above which a minimum may be a local one (5 sigmas for one).
 _DOUBTFUL_COST = 25.0
 
@@ -115,8 +119,35 @@ def fit_rectangles(
         if len(rows):
             for start in others(measurements.left_px[rows], camera, depths[rows], weights[rows]):
                 result.improve(problem, rows, start, rows=np.arange(len(rows)))
-    found = result.estimates(problem)
-    return _allow_for_rivals(found, rival.estimates(problem), weak) if len(weak) else found
+    found = with_profiles(result.estimates(problem), problem)
+    if not len(weak):
+        return found
+    return _allow_for_rivals(found, with_profiles(rival.estimates(problem), problem), weak)
+
+
+def with_profiles(found: RectangleEstimates, problem: Problem) -> RectangleEstimates:
+    """Covariances by the profile likelihood where a tilt is known too badly for derivatives."""
+    tilts = np.nan_to_num(found.covariances[:, :2, :2], nan=0.0, posinf=0.0)
+    vague = np.linalg.eigvalsh(tilts)[:, -1] > _VAGUE_TILT**2
+    freedom = found.degrees_of_freedom
+    fits = found.costs <= freedom + _FITS_SIGMAS * np.sqrt(2.0 * freedom)
+    chosen = np.flatnonzero(vague & fits & found.converged)
+    if not len(chosen):
+        return found
+    covariances = np.ascontiguousarray(found.covariances)
+    widen_by_profiles(
+        np.ascontiguousarray(found.rotations),
+        found.translations,
+        found.sizes,
+        problem.camera,
+        problem.measured,
+        problem.whiteners,
+        problem.depth_weights,
+        problem.with_right,
+        covariances,
+        chosen,
+    )
+    return replace(found, covariances=covariances)
 
 
 def _allow_for_rivals(
