@@ -63,6 +63,10 @@ class FactorGraphConfig(StageConfig):
     # Unevenness of floor and suspension: roll and pitch of the robot, and its height.
     floor_tilt_deg: float = Field(0.02, gt=0.0)
     floor_height: float = Field(0.0005, gt=0.0)  # m
+    # Walls along the axis of a region tell headings of keyframes far from each other. Gateway posts
+    # seen in several passes change nothing measurable where loops are closed or doors are seen.
+    region_axes: bool = True
+    gateway_posts: bool = False
     plane_sights: bool = True  # where beams ended on a landmark tells its plane
     # The camera's mount as a variable, known beforehand as one measures by rule and eye.
     calibrate: bool = False

@@ -38,13 +38,22 @@ from rgslam.factor_graph.joint_graph import (
     spatial,
 )
 from rgslam.factor_graph.rectangle_shape import rectangle_axes
+from rgslam.factor_graph.region_factors import (
+    axis_factor,
+    axis_key,
+    axis_prior,
+    post_factor,
+    post_key,
+    post_prior,
+)
 from rgslam.factor_graph.stereo_corners import stereo_corners
-from rgslam.geometry import adjoint, adjoints, between, compose, inverse
+from rgslam.geometry import adjoint, adjoints, between, compose, inverse, transform_points
 from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
 from rgslam.plane_sights import laser_plane_sights
 from rgslam.rectangles.cuboid_landmarks import fit_cuboids
 from rgslam.rectangles.fitted_cuboid import FittedCuboid
+from rgslam.region_evidence import AxisSight, PostSight
 from rgslam.types import CameraMount, EdgeKind, FloatArray, LaserScan, PoseEdge
 
 #: Solve, take out what does not fit, solve again: so often at most.
@@ -65,6 +74,33 @@ class Landmark:
     sights: tuple[tuple[int, int], ...]  # (frame, number of the rectangle in it)
     history: FloatArray  # (n, 5), after each sight: stamp, width, height and their sigmas
     probability: float  # of being a rectangle
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The joint graph at its most likely values."""
+
+    graph: JointGraph
+    values: gtsam.Values
+    tracks: Sequence[Track]  # landmark n is the track n
+    frames: Sequence[PlacedFrame]
+    poses: Sequence[FramePose]  # of the frames, as the tracks were found with
+    keyframe_count: int
+    counts: Counter[str]
+
+    @property
+    def keyframes(self) -> FloatArray:
+        """Poses (K, 3) of the keyframes, wTb."""
+        keys = [keyframe_key(k) for k in range(self.keyframe_count)]
+        return np.array([planar(self.values.atPose3(key)) for key in keys])
+
+    def states(self) -> list[RectangleState]:
+        """The landmarks, without their covariances."""
+        corners = [
+            np.array([self.values.atPoint3(key) for key in corner_keys(number)])
+            for number in range(len(self.tracks))
+        ]
+        return [state_of(four, np.zeros((8, 8))) for four in corners]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +132,17 @@ def fuse_landmarks(
         config: sections `data_association` and `factor_graph`.
         scans: of the keyframes, if planes shall be looked for in them.
     """
+    return describe(solve(keyframes, edges, frames, config, scans))
+
+
+def solve(
+    keyframes: FloatArray,
+    edges: Sequence[PoseEdge],
+    frames: Sequence[PlacedFrame],
+    config: Config | None = None,
+    scans: Sequence[LaserScan] = (),
+) -> Solution:
+    """The first half of `fuse_landmarks`: everything but covariances."""
     config = Config() if config is None else config
     section = config.data_association
     # Which sight is which rectangle: by the poses so far, and again by what they made of them
@@ -124,23 +171,31 @@ def fuse_landmarks(
         if calibrate:
             mounts = JointMarginals(graph, values).mounts()
 
+    counts.update(tracks=len(association.tracks))
+    solution = Solution(graph, values, tracks, frames, poses, len(keyframes), counts)
     # Where beams ended on landmarks tells their planes
-    if scans and config.factor_graph.plane_sights:
-        values, counts["plane sights"] = _with_planes(graph, values, len(tracks), scans)
-        start = np.array([planar(values.atPose3(key)) for key in keys])
+    return _with_planes(solution, scans) if config.factor_graph.plane_sights else solution
 
-    marginals = JointMarginals(graph, values)
+
+def describe(solution: Solution) -> Fusion:
+    """The second half of `fuse_landmarks`: landmarks and poses with their covariances."""
+    marginals = JointMarginals(solution.graph, solution.values)
+    keys = [keyframe_key(k) for k in range(solution.keyframe_count)]
     covariances = np.array([marginals.planar_pose(key) for key in keys])
-    poses = [_at_estimate(pose, f, values, covariances) for f, pose in enumerate(poses)]
+    poses = [
+        _at_estimate(pose, f, solution.values, covariances) for f, pose in enumerate(solution.poses)
+    ]
     landmarks = tuple(
-        _landmark(marginals.rectangle(number), track, frames, poses)
-        for number, track in enumerate(tracks)
+        _landmark(marginals.rectangle(number), track, solution.frames, poses)
+        for number, track in enumerate(solution.tracks)
     )
     # Rectangles that share edges at right angles
     corners = np.array([landmark.state.corners for landmark in landmarks]).reshape(-1, 4, 3)
     cuboids = fit_cuboids(corners, marginals.corner_covariance)
-    counts.update(tracks=len(association.tracks), landmarks=len(landmarks), cuboids=len(cuboids))
-    return Fusion(start, covariances, landmarks, cuboids, dict(counts), marginals, mounts)
+    counts = {**solution.counts, "landmarks": len(landmarks), "cuboids": len(cuboids)}
+    return Fusion(
+        solution.keyframes, covariances, landmarks, cuboids, counts, marginals, marginals.mounts()
+    )
 
 
 def _sight_count(tracks: Sequence[Track]) -> int:
@@ -312,20 +367,41 @@ def build_graph(
     return graph
 
 
-def _with_planes(
-    graph: JointGraph, values: gtsam.Values, landmarks: int, scans: Sequence[LaserScan]
-) -> tuple[gtsam.Values, int]:
-    """The estimate with what the laser saw of the landmarks' planes, and how often it did."""
-    keyframes = np.array([planar(values.atPose3(keyframe_key(k))) for k in range(len(scans))])
-    states = [
-        state_of(np.array([values.atPoint3(key) for key in corner_keys(number)]), np.zeros((8, 8)))
-        for number in range(landmarks)
-    ]
-    sights = laser_plane_sights(states, scans, keyframes)
+def _with_planes(solution: Solution, scans: Sequence[LaserScan]) -> Solution:
+    """With what the laser saw of the landmarks' planes."""
+    sights = laser_plane_sights(solution.states(), scans, solution.keyframes) if scans else []
     for sight in sights:
         at = keyframe_key(sight.keyframe)
-        graph.add_plane_sight(at, sight.landmark, sight.bTr, sight.covariance)
-    return (graph.optimise(values) if sights else values), len(sights)
+        solution.graph.add_plane_sight(at, sight.landmark, sight.bTr, sight.covariance)
+    return _solved(solution, solution.values, {"plane sights": len(sights)})
+
+
+def with_regions(
+    solution: Solution, axes: Sequence[AxisSight], posts: Sequence[PostSight]
+) -> Solution:
+    """With what keyframes saw of regions' axes and of gateways' posts; extends the same graph."""
+    keyframes, graph = solution.keyframes, solution.graph
+    values = gtsam.Values(solution.values)
+    for axis in axes:
+        if not values.exists(axis_key(axis.axis)):
+            wTh = compose(keyframes[axis.keyframe], axis.bTh)
+            values.insert(axis_key(axis.axis), spatial(wTh))
+            graph.factors.add(axis_prior(axis.axis, wTh[:2]))
+        graph.factors.add(axis_factor(keyframe_key(axis.keyframe), axis.axis, axis.bTh, axis.sigma))
+    for post in posts:
+        if not values.exists(post_key(post.post)):
+            place = transform_points(keyframes[post.keyframe], post.b_point[None])[0]
+            values.insert(post_key(post.post), gtsam.Point3(*place, 0.0))
+            graph.factors.add(post_prior(post.post))
+        at = keyframe_key(post.keyframe)
+        graph.factors.add(post_factor(at, post.post, post.b_point, post.covariance))
+    return _solved(solution, values, {"axis sights": len(axes), "post sights": len(posts)})
+
+
+def _solved(solution: Solution, start: gtsam.Values, new: Mapping[str, int]) -> Solution:
+    """Solved again, with new factors by their names."""
+    values = solution.graph.optimise(start) if any(new.values()) else solution.values
+    return replace(solution, values=values, counts=Counter({**solution.counts, **new}))
 
 
 def _consistent(

@@ -38,10 +38,12 @@ from rgslam.types import (
     Gateway,
     Keyframes,
     LaserScan,
+    OccupancyGrid,
     Odometry,
     PoseEdge,
     ProgressCallback,
     Rectangle,
+    Segmentation,
     StereoPair,
     Trajectory,
 )
@@ -49,7 +51,7 @@ from rgslam.wheel_noise import WheelNoise
 
 if TYPE_CHECKING:  # loaded when there are images: most runs have none
     from rgslam.data_association import RectangleState
-    from rgslam.fusion import Fusion
+    from rgslam.fusion import Fusion, Solution
     from rgslam.online_fusion import OnlineFusion
 
 #: What a step without any motion may still be off: the wheels stand, the robot may be pushed or a
@@ -408,32 +410,33 @@ class Mapper:
             tell("optimisation", 2, 2)
         frames = self._frames.frames()
         keyframe_scans = [self._track.scans[k] for k in self._keyframe_scans]
-        fusion: Fusion | None = None
         seen = any(frame.observations.rectangles for frame in frames)
+        solution: Solution | None = None
         if seen and self.config.data_association.enabled:
-            from rgslam.fusion import fuse_landmarks, mounted_frames
+            from rgslam.fusion import solve
 
             with self.clock.stage("fusion"):
-                tell("fusion", 0, 1)
-                fusion = fuse_landmarks(
+                tell("fusion", 0, 2)
+                solution = solve(
                     self._poses, self._graph.edges, frames, self.config, keyframe_scans
                 )
+                self._poses = solution.keyframes
+                tell("fusion", 1, 2)
+        grid, segmentation = self._segment(keyframe_scans, progress)
+        fusion: Fusion | None = None
+        if solution is not None:
+            from rgslam.fusion import describe, mounted_frames
+
+            with self.clock.stage("fusion"):
+                solved = self._with_regions(solution, segmentation, keyframe_scans)
+                fusion = describe(solved)
                 self._poses, covariances = fusion.keyframes, fusion.covariances
                 frames = mounted_frames(frames, fusion.mounts)
-                tell("fusion", 1, 1)
+                tell("fusion", 2, 2)
+            if solved is not solution:  # the walls moved as well
+                grid, segmentation = self._segment(keyframe_scans, progress)
         trajectory = self.trajectory()
-        with self.clock.stage("occupancy grid"):
-            grid = build_occupancy_grid(
-                self._track.scans, trajectory.wTb, self.config.occupancy_grid, progress
-            )
-        with self.clock.stage("regions and gateways"):
-            tell("regions and gateways", 0, 1)
-            segmentation = segment_grid(grid, config=self.config, of_run=True)
-            # Walls and posts where the beams ended, not where cells begin
-            hits = hits_of(keyframe_scans, self._poses)
-            segmentation = fit_to_scans(segmentation, hits, grid.resolution, self.config)
-            gateways = detect_crossings(segmentation.gateways, trajectory)
-            tell("regions and gateways", 1, 1)
+        gateways = detect_crossings(segmentation.gateways, trajectory)
         rectangles: tuple[Rectangle, ...] = ()
         cuboids: tuple[Cuboid, ...] = ()
         if fusion is not None:
@@ -468,6 +471,40 @@ class Mapper:
                 },
             ),
         )
+
+    def _segment(
+        self, keyframe_scans: list[LaserScan], progress: ProgressCallback | None
+    ) -> tuple[OccupancyGrid, Segmentation]:
+        """Free space, and the regions and gateways in it, for the poses as they are now."""
+        with self.clock.stage("occupancy grid"):
+            grid = build_occupancy_grid(
+                self._track.scans, self.trajectory().wTb, self.config.occupancy_grid, progress
+            )
+        with self.clock.stage("regions and gateways"):
+            if progress is not None:
+                progress("regions and gateways", 0, 1)
+            segmentation = segment_grid(grid, config=self.config, of_run=True)
+            # Walls and posts where the beams ended, not where cells begin
+            hits = hits_of(keyframe_scans, self._poses)
+            segmentation = fit_to_scans(segmentation, hits, grid.resolution, self.config)
+            if progress is not None:
+                progress("regions and gateways", 1, 1)
+        return grid, segmentation
+
+    def _with_regions(
+        self, solution: Solution, segmentation: Segmentation, keyframe_scans: list[LaserScan]
+    ) -> Solution:
+        """The joint graph with what keyframes saw of regions' axes and of gateways' posts."""
+        from rgslam.fusion import with_regions
+        from rgslam.region_evidence import axis_sights, post_sights
+
+        config, axes, posts = self.config.factor_graph, [], []
+        if config.region_axes:
+            axes = axis_sights(segmentation.regions, keyframe_scans, self._poses)
+        if config.gateway_posts:
+            sizes = self.config.occupancy_grid.resolution, self.config.gateways.thickest_wall
+            posts = post_sights(segmentation.gateways, keyframe_scans, self._poses, *sizes)
+        return with_regions(solution, axes, posts) if axes or posts else solution
 
     def trajectory(self) -> Trajectory:
         """Poses of all scans so far, in the order in which they came."""
