@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import heapq
+
 import gtsam
 import numpy as np
 import pytest
@@ -24,7 +26,10 @@ from rgslam.factor_graph.region_factors import (
     post_prior,
 )
 from rgslam.geometry import between, compose, inverse, transform_points
+from rgslam.mapper import Mapper
 from rgslam.region_evidence import axis_sights
+from rgslam.simulation import World, simulate
+from rgslam.simulation.measured_corners import measured_corners
 from rgslam.types import LineSegment, Region, RegionClass
 
 SEEDS = st.integers(0, 2**31)
@@ -99,14 +104,14 @@ def test_axes_straighten_a_trajectory_and_outvote_a_wall_that_lies() -> None:
     assert JointMarginals(graph, values).planar_pose(keyframe_key(39))[2, 2] < 0.2 * before
 
 
-def test_a_post_seen_twice_ties_both_ends() -> None:
+def test_posts_seen_from_afar_and_again_when_there_take_out_the_drift() -> None:
     graph, truth = drifting(0.0005)
-    post = np.array([2.0, 1.0])
-    graph.initial.insert(post_key(0), gtsam.Point3(*post, 0.0))
-    graph.factors.add(post_prior(0))
-    for k in (0, 5, 39):
-        b_point = transform_points(inverse(truth[k]), post[None])[0]
-        graph.factors.add(post_factor(keyframe_key(k), 0, b_point, 0.05**2 * np.eye(2)))
+    for number, post in enumerate(np.array([[20.5, -0.5], [20.5, 0.5]])):
+        graph.initial.insert(post_key(number), gtsam.Point3(*post, 0.0))
+        graph.factors.add(post_prior(number))
+        for k in (0, 39):
+            b_point = transform_points(inverse(truth[k]), post[None])[0]
+            graph.factors.add(post_factor(keyframe_key(k), number, b_point, 0.03**2 * np.eye(2)))
     off = [abs(planar(v.atPose3(keyframe_key(39)))[1]) for v in (graph.initial, graph.optimise())]
     assert off[1] < 0.5 * off[0]
 
@@ -141,3 +146,14 @@ def test_post_and_axis_factors_have_the_derivatives_of_their_errors(seed: int) -
                 ]
                 columns.append((ends[1] - ends[0]) / (2 * STEP))
         np.testing.assert_allclose(np.array(columns).T, jacobian, rtol=1e-3, atol=1e-2)
+
+
+def test_the_mapper_asks_walls_and_beams() -> None:
+    run = simulate(World.built_in("hallway_loop"), seed=1, duration=25.0, stereo_rate=2.0)
+    seen, scans = measured_corners(run.truth), run.without_stereo().messages()
+    mapper = Mapper()
+    for message in heapq.merge(scans, seen, key=lambda m: m.stamp):
+        mapper.add(message)
+    details = mapper.map().run.details["fusion"]
+    assert details["axis sights"] >= 2
+    assert "plane sights" in details and "post sights" in details

@@ -54,8 +54,8 @@ class FusionScore:
     corner_median_cm: float
     corner_95_cm: float
     size_median_cm: float
-    corner_no_planes_cm: float  # medians without the planes that the laser saw
-    size_no_planes_cm: float
+    corner_sights_alone_cm: float  # medians of corners alone: no planes and axes that the laser saw
+    size_sights_alone_cm: float
     landmark_nees: float  # mean; 8 degrees of freedom
     landmark_inside: float  # share inside their own 95 % region
     keyframe_nees: float  # mean; 3 degrees of freedom
@@ -85,7 +85,7 @@ class _Run:
     seed: int
     sights: ObservationErrors
     landmarks: LandmarkErrors
-    no_planes: LandmarkErrors
+    sights_alone: LandmarkErrors
     keyframes: Nees
     ates: tuple[float, float, float, float]  # cm, in the order of `FusionScore`
 
@@ -140,13 +140,13 @@ def _score(
         ates.append(_ate(build_map(replay, other, progress), truth))
     wanted = expected_rectangles(truth)
     fusion = fuse_landmarks(rg_map.keyframes.wTb, rg_map.edges, rg_map.frames, config)
-    no_planes, _ = describe_landmarks(fusion, rg_map.regions, config.landmarks)
+    sights_alone, _ = describe_landmarks(fusion, rg_map.regions, config.landmarks)
     return _Run(
         world=recording.world.name,
         seed=truth.seed,
         sights=observation_errors(seen, truth),
         landmarks=landmark_errors(rg_map.rectangles, truth.rectangles, wanted, start, start),
-        no_planes=landmark_errors(no_planes, truth.rectangles, wanted, start, start),
+        sights_alone=landmark_errors(sights_alone, truth.rectangles, wanted, start, start),
         keyframes=nees(*keyframe_errors(rg_map.keyframes, truth.trajectory)),
         ates=(ates[0], ates[1], ates[2], ates[3]),
     )
@@ -208,8 +208,8 @@ def _row(runs: Sequence[_Run]) -> FusionScore:
         corner_median_cm=_quantile([corners], 0.5),
         corner_95_cm=_quantile([corners], 0.95),
         size_median_cm=_quantile([np.abs(one.size_error) for one in landmarks], 0.5),
-        corner_no_planes_cm=_quantile([run.no_planes.corner_error for run in runs], 0.5),
-        size_no_planes_cm=_quantile([np.abs(run.no_planes.size_error) for run in runs], 0.5),
+        corner_sights_alone_cm=_quantile([run.sights_alone.corner_error for run in runs], 0.5),
+        size_sights_alone_cm=_quantile([np.abs(run.sights_alone.size_error) for run in runs], 0.5),
         landmark_nees=landmark_nees,
         landmark_inside=landmark_inside,
         keyframe_nees=keyframe_nees,

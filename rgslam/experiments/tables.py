@@ -90,13 +90,13 @@ def print_fusion(result: FusionResult, console: Console | None = None) -> None:
             "corner_median_cm": "corner cm",
             "corner_95_cm": "95 % cm",
             "size_median_cm": "size cm",
-            "corner_no_planes_cm": "corner, no planes",
-            "size_no_planes_cm": "size, no planes",
+            "corner_sights_alone_cm": "corner, sights alone",
+            "size_sights_alone_cm": "size, sights alone",
             "landmark_nees": "NEES (8)",
             "landmark_inside": "inside 95 %",
         },
-        "wanted: seen so in three frames or more; the map lies over the truth at the start; no "
-        "planes: of the corners alone, without the beams that met the landmarks.",
+        "wanted: seen so in three frames or more; the map lies over the truth at the "
+        "start; sights alone: without planes of landmarks and axes of regions seen by the laser.",
     )
     table(
         "Trajectory",
