@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from rgslam.rectangles import ambiguity
 from rgslam.rectangles.maximum_likelihood import RectangleEstimates
@@ -84,30 +85,32 @@ def _different(
 ) -> tuple[list[int], list[FloatArray]]:
     """Readings that are not one and the same, and their offsets (8,) from the best."""
     found = readings.estimates
+    others = others[np.isfinite(found.covariances[others]).all(axis=(1, 2))]
+    offsets = _offsets(found, best, others)
+    new = _apart(found, best, offsets)
     known: list[int] = []
-    offsets: list[FloatArray] = []
-    for i in others.tolist():
-        if len(known) == _MOST or not np.isfinite(found.covariances[i]).all():
-            continue
-        same = False
-        for j in [best, *known]:
-            offset = _offset(found, j, i)
-            if offset @ np.linalg.solve(found.covariances[j], offset) < _SAME:
-                same = True
-                break
-        if not same:
-            known.append(i)
-            offsets.append(_offset(found, best, i))
-    return known, offsets
+    while new.any() and len(known) < _MOST:
+        first = int(new.argmax())
+        known.append(first)
+        new &= _apart(found, int(others[first]), _offsets(found, int(others[first]), others))
+        new[first] = False
+    return others[known].tolist(), list(offsets[known])
 
 
-def _offset(found: RectangleEstimates, one: int, other: int) -> FloatArray:
-    a, b = [one], [other]
+def _apart(found: RectangleEstimates, one: int, offsets: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether readings (k,) at offsets (k, 8) from one are other ones than that."""
+    solved = np.linalg.solve(found.covariances[one], offsets.T)
+    return np.asarray((offsets.T * solved).sum(axis=0) >= _SAME)
+
+
+def _offsets(found: RectangleEstimates, one: int, others: IntArray) -> FloatArray:
+    """Tangent vectors and size differences (k, 8) from one reading to others."""
+    same = np.full(len(others), one)
     return ambiguity.difference(
-        found.rotations[a],
-        found.translations[a],
-        found.sizes[a],
-        found.rotations[b],
-        found.translations[b],
-        found.sizes[b],
-    )[0]
+        found.rotations[same],
+        found.translations[same],
+        found.sizes[same],
+        found.rotations[others],
+        found.translations[others],
+        found.sizes[others],
+    )

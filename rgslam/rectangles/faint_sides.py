@@ -30,7 +30,7 @@ from rgslam.rectangles.grouping import (
     share_seen,
 )
 from rgslam.rectangles.hypotheses import Quadrangles, corners_of_lines
-from rgslam.rectangles.line_segments import ImageLines
+from rgslam.rectangles.line_segments import ImageLines, lines_of_fits
 from rgslam.rectangles.line_support import LineSupport
 from rgslam.types import FloatArray, IntArray
 
@@ -38,6 +38,7 @@ _PIECES = 8  # of the fourth side: an edge changes its contrast, even its sign, 
 _SIGMAS, _LEAST = 4.0, 0.5  # of a piece that is an edge beyond doubt; share of the side that is one
 _WINDOW = 12.0  # px around the end of an arm, in which the fourth side is sought
 _LOOSE = 1  # of the ends of sides, those that need not end at their corner
+_SPARE = 1  # more of them while a side's place is rough
 _BEYOND, _ENDS = 0.25, 4  # of a side, past its end, where it is asked whether it goes on; pieces
 _FLANK = 3  # px to either side of a step, where its gradient has faded out
 _MOST, _MOST_ADDED = 4000, 60  # places looked at closely, and hypotheses of these kept
@@ -81,9 +82,21 @@ def add_faint_sides(
     )
     if not len(members):
         return quads
-    fourth = fit_faint(ends, gradient, config)
+    rough = _rough_lines(ends)
+    # Most do not end at their corners, or have been found: that is seen before they are fitted.
+    new = _new_borders(quads, lines, rough, members, support, gradient, config, _SPARE)[0]
+    fourth = fit_faint(ends[new], gradient, config)
     seen = np.flatnonzero(fourth.seen >= config.min_side_support)
-    return _joined(quads, lines, fourth.take(seen), members[seen], support, gradient, config)
+    return _joined(quads, lines, fourth.take(seen), members[new[seen]], support, gradient, config)
+
+
+def _rough_lines(ends: FloatArray) -> ImageLines:
+    """Lines through ends (k, 2, 2), as if they were seen all along."""
+    side = ends[:, 1] - ends[:, 0]
+    along = side / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
+    found = np.concatenate([ends.mean(axis=1), along], axis=1)
+    covariances = np.broadcast_to(np.eye(2), (len(ends), 2, 2))
+    return lines_of_fits(ends, found, covariances, np.ones(len(ends)))
 
 
 @njit(cache=True)
@@ -190,16 +203,20 @@ def _search(
     turn = lines[base, 2] * lines[b, 3] - lines[base, 3] * lines[b, 2]
     way = side if turn > 0.0 else -side
     ex, ey = way * lines[b, 2], way * lines[b, 3]
+    v0, v1, v2 = along[0], along[1], along[2]
     room = int(reach_a + reach_b + 4 * _WINDOW) + 2 * _FLANK
     step, place = np.full((room, _PIECES), np.nan), np.empty((room, 3))
     for s in range(room):
         t = least + s - _FLANK
         px, py = x0 + t * dx, y0 + t * dy
-        ray = np.array([(px - k[2]) / k[0], (py - k[3]) / k[1], 1.0])
-        q = _cross(_cross(ray, along), n_b)
-        if abs(q[2]) < 1e-12:
+        # Cross products of ray and direction, and of that with the other arm, without arrays.
+        rx, ry = (px - k[2]) / k[0], (py - k[3]) / k[1]
+        mx, my, mz = ry * v2 - v1, v0 - rx * v2, rx * v1 - ry * v0
+        q2 = mx * n_b[1] - my * n_b[0]
+        if abs(q2) < 1e-12:
             continue
-        qx, qy = k[0] * q[0] / q[2] + k[2], k[1] * q[1] / q[2] + k[3]
+        qx = k[0] * (my * n_b[2] - mz * n_b[1]) / q2 + k[2]
+        qy = k[1] * (mz * n_b[0] - mx * n_b[2]) / q2 + k[3]
         u = (qx - x1) * ex + (qy - y1) * ey
         near_a, near_b = abs(t - reach_a), abs(u - reach_b)
         if min(near_a, near_b) > _WINDOW + _FLANK or u < 0.5 * least:
@@ -258,7 +275,7 @@ def _mean_step(
 ) -> tuple[float, float]:
     """Mean gradient across a line between two points, and its length; NaN where it leaves."""
     height, width = xy.shape[0], xy.shape[1]
-    length = max(math.hypot(x1 - x, y1 - y), 1.0)
+    length = max(math.sqrt((x1 - x) * (x1 - x) + (y1 - y) * (y1 - y)), 1.0)
     nx, ny = (y1 - y) / length, -(x1 - x) / length
     count = max(int(length / 2.0), 4)
     total = 0.0
@@ -282,12 +299,55 @@ def _joined(
     config: RectangleConfig,
 ) -> Quadrangles:
     """The hypotheses with those of base, arms and fourth side, where these are new."""
+    new, around, quality, loose = _new_borders(
+        quads, lines, fourth, members, support, gradient, config
+    )
+    every = lines.joined(fourth)
+    corners, covariances = corners_of_lines(every, around, config.corner_sigma_px)
+    return Quadrangles(
+        np.concatenate([quads.corners, corners]),
+        np.concatenate([quads.covariances, covariances]),
+        np.concatenate([quads.lines, around]),
+        np.concatenate([quads.support, quality]),
+        np.concatenate([quads.loose_ends, loose]),
+        np.concatenate([quads.faint, np.ones(len(new), bool)]),
+        quads.rejected,
+    )
+
+
+def _new_borders(
+    quads: Quadrangles,
+    lines: ImageLines,
+    fourth: ImageLines,
+    members: IntArray,
+    support: LineSupport,
+    gradient: GradientImage,
+    config: RectangleConfig,
+    spare: int = 0,
+) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+    """The best of base, arms and fourth side (k, 3 and k) that make a border not known yet.
+
+    Args:
+        quads: Known ones.
+        lines: Of the image.
+        fourth: k of them.
+        members: Base and arms (k, 3).
+        support: Of the lines.
+        gradient: Of the image.
+        config: Least support.
+        spare: Loose ends, and corners crossed, that are let pass beyond what counts.
+
+    Returns:
+        Indices (m,), and of these lines around (m, 4), counter-clockwise, where the fourth sides
+        come after all lines; support (m, 4) of the sides; loose ends (m,).
+    """
     every = lines.joined(fourth)
     own = len(lines) + np.arange(len(fourth))
     around = np.stack([members[:, 0], members[:, 2], own, members[:, 1]], axis=1)
-    corners, _ = corners_of_lines(every, around, config.corner_sigma_px)
-    around = np.where(_clockwise(corners)[:, None], around[:, ::-1], around)
-    corners, covariances = corners_of_lines(every, around, config.corner_sigma_px)
+    corners = _corners(every, around)
+    clockwise = _clockwise(corners)[:, None]
+    around = np.where(clockwise, around[:, ::-1], around)
+    corners = np.where(clockwise[..., None], np.roll(corners[:, ::-1], 1, axis=1), corners)
     quality, loose, crossed = _judged(
         np.concatenate([every.midpoints, every.directions], axis=1),
         corners,
@@ -300,21 +360,24 @@ def _joined(
         gradient.xy,
         gradient.noise,
     )
-    ended = (loose <= _LOOSE) & (crossed <= config.max_crossings)
+    ended = (loose <= _LOOSE + spare) & (crossed <= config.max_crossings + spare)
     good = np.flatnonzero(ended & (quality.min(axis=1) >= config.min_side_support))
     good = good[np.argsort(loose[good] - quality[good].min(axis=1), kind="stable")]
     both = np.concatenate([quads.corners, corners[good]])
     kept = distinct(both, config.double_px, config.max_hypotheses + _MOST_ADDED)
     good = good[kept[kept >= len(quads)] - len(quads)][:_MOST_ADDED]
-    return Quadrangles(
-        np.concatenate([quads.corners, corners[good]]),
-        np.concatenate([quads.covariances, covariances[good]]),
-        np.concatenate([quads.lines, around[good]]),
-        np.concatenate([quads.support, quality[good]]),
-        np.concatenate([quads.loose_ends, loose[good]]),
-        np.concatenate([quads.faint, np.ones(len(good), bool)]),
-        quads.rejected,
-    )
+    return good, around[good], quality[good], loose[good]
+
+
+def _corners(lines: ImageLines, around: IntArray) -> FloatArray:
+    """Corners (k, 4, 2) of quadrangles of lines (k, 4): corner s between lines s - 1 and s."""
+    before = np.roll(around, 1, axis=1)
+    a, c = lines.normals[before], lines.offsets[before]
+    b, d = lines.normals[around], lines.offsets[around]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sine = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+        x = (a[..., 1] * d - b[..., 1] * c) / sine
+        return np.stack([x, (b[..., 0] * c - a[..., 0] * d) / sine], axis=-1)
 
 
 def _clockwise(corners: FloatArray) -> npt.NDArray[np.bool_]:
