@@ -219,7 +219,9 @@ def _search(
         qy = k[1] * (mz * n_b[0] - mx * n_b[2]) / q2 + k[3]
         u = (qx - x1) * ex + (qy - y1) * ey
         near_a, near_b = abs(t - reach_a), abs(u - reach_b)
-        if min(near_a, near_b) > _WINDOW + _FLANK or u < 0.5 * least:
+        # Where the image ends, so do the arms: no sign of a corner.
+        inside = _inside(px, py, xy.shape) and _inside(qx, qy, xy.shape)
+        if min(near_a, near_b) > _WINDOW + _FLANK or u < 0.5 * least or not inside:
             if t > reach_a + _WINDOW + _FLANK and u > reach_b + _WINDOW + _FLANK:
                 break
             continue
@@ -240,6 +242,12 @@ def _search(
         ends[total, 1, 0], ends[total, 1, 1] = place[s, 0], place[s, 1]
         total += 1
     return total
+
+
+@njit(cache=True)
+def _inside(x: float, y: float, shape: tuple[int, int, int]) -> bool:
+    """Whether there is room beyond a point to see whether a line goes on."""
+    return min(x, y) >= FAR_PX and x < shape[1] - FAR_PX and y < shape[0] - FAR_PX
 
 
 @njit(cache=True)
