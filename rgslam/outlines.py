@@ -126,4 +126,6 @@ def join_polygons(polygons: list[FloatArray]) -> Outlines:
 def signed_area(polygon: FloatArray) -> float:
     """Area of a polygon (n, 2), positive where it runs counter-clockwise."""
     x, y = polygon[:, 0], polygon[:, 1]
-    return 0.5 * float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
+    # Written out, as np.roll takes ten times as long on a few corners
+    inner = np.dot(x[:-1], y[1:]) - np.dot(y[:-1], x[1:])
+    return 0.5 * float(inner + x[-1] * y[0] - y[-1] * x[0]) if len(polygon) else 0.0

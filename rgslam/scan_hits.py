@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,12 +22,20 @@ class Hits:
     rays: FloatArray  # (n, 2), unit vectors from the laser to the points, w
     scans: IntArray  # (n,), number of the scan
 
+    @cached_property
+    def _by_x(self) -> tuple[IntArray, FloatArray]:
+        """Order (n,) of the points from left to right, and their x in it."""
+        order = np.argsort(self.points[:, 0], kind="stable")
+        return order, self.points[order, 0]
+
     def near(self, corner_a: FloatArray, corner_b: FloatArray, margin: float) -> Hits:
         """Those in the box around two points."""
         low = np.minimum(corner_a, corner_b) - margin
         high = np.maximum(corner_a, corner_b) + margin
-        x, y = self.points.T  # column by column: NumPy reduces narrow rows slowly
-        inside = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
+        order, x = self._by_x
+        between = order[np.searchsorted(x, low[0]) : np.searchsorted(x, high[0], "right")]
+        y = self.points[between, 1]
+        inside = np.sort(between[(y >= low[1]) & (y <= high[1])])
         return Hits(self.points[inside], self.rays[inside], self.scans[inside])
 
 

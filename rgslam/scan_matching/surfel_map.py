@@ -46,19 +46,32 @@ class SurfelMap:
     @cached_property
     def fine(self) -> npt.NDArray[np.uint8]:
         """(H, W), likelihood 0..255 of a return in a cell."""
-        likelihood = np.zeros(self.surfels.nearest.shape, np.uint8)
-        _stamp_likelihood(likelihood, self.surfels, _FADING)
-        return likelihood
+        return self._stamped(BLOCKS[2])
 
     @cached_property
     def middle(self) -> npt.NDArray[np.uint8]:
         """(H, W), the most that any of 4 x 4 cells has."""
+        if self._is_sparse(BLOCKS[1]):
+            return self._stamped(BLOCKS[1])
         return _pool(self.fine, BLOCKS[1], 1)
 
     @cached_property
     def coarse(self) -> npt.NDArray[np.uint8]:
         """(H, W), the most that any of 16 x 16 cells has."""
+        if self._is_sparse(BLOCKS[0]):
+            return self._stamped(BLOCKS[0])
         return _pool(self.middle, BLOCKS[0] // BLOCKS[1], BLOCKS[1])
+
+    def _is_sparse(self, block: int) -> bool:
+        """Whether the surfels reach fewer cells than there are: halls, or stray returns far off."""
+        surfels = self.surfels
+        return surfels.nearest.size > len(surfels.points) * (2 * _REACH + block) ** 2
+
+    def _stamped(self, block: int) -> npt.NDArray[np.uint8]:
+        """(H, W), the most that any of block x block cells has, made surfel by surfel."""
+        level = np.zeros(self.surfels.nearest.shape, np.uint8)
+        _stamp_likelihood(level, self.surfels, block, _FADING)
+        return level
 
 
 def build_surfel_map(
@@ -201,18 +214,37 @@ _FADING = (255.0 * np.exp(-np.arange(64 * 2 * (_REACH + 1) ** 2) / 128.0)).astyp
 
 @njit(cache=True, nogil=True)
 def _stamp_likelihood(
-    likelihood: npt.NDArray[np.uint8], surfels: Surfels, fading: npt.NDArray[np.uint8]
+    level: npt.NDArray[np.uint8], surfels: Surfels, block: int, fading: npt.NDArray[np.uint8]
 ) -> None:
-    """Write what the nearest surfel gives to each cell (H, W), all 0 before."""
-    rows, cols = likelihood.shape
+    """Write the likelihood of the best of block x block cells from each on (H, W), all 0 before."""
+    rows, cols = level.shape
+    across = np.empty(2 * _REACH + block)  # squared distance of the nearest column, cells
     for k in range(len(surfels.points)):
         x = (surfels.points[k, 0] - surfels.origin[0]) / surfels.resolution - 0.5
         y = (surfels.points[k, 1] - surfels.origin[1]) / surfels.resolution - 0.5
         row, col = int(y + 0.5), int(x + 0.5)
-        for r in range(max(row - _REACH, 0), min(row + _REACH + 1, rows)):
-            for c in range(max(col - _REACH, 0), min(col + _REACH + 1, cols)):
-                value = fading[int(64.0 * ((c - x) ** 2 + (r - y) ** 2))]
-                likelihood[r, c] = max(likelihood[r, c], value)
+        first = col - _REACH - block + 1
+        for c in range(len(across)):
+            across[c] = _nearest_square(x, col, first + c, block)
+        for r in range(max(row - _REACH - block + 1, 0), min(row + _REACH + 1, rows)):
+            down = _nearest_square(y, row, r, block)
+            for c in range(max(first, 0), min(col + _REACH + 1, cols)):
+                value = fading[int(64.0 * (across[c - first] + down))]
+                level[r, c] = max(level[r, c], value)
+
+
+@njit(cache=True, nogil=True)
+def _nearest_square(x: float, own: int, first: int, block: int) -> float:
+    """Squared distance from x to the nearest of `block` cells from `first` on, within reach.
+
+    Args:
+        x: in cells, 0 = the centre of the first one.
+        own: the cell that x lies in.
+        first: first cell of the block.
+        block: number of cells.
+    """
+    lowest, highest = max(first, own - _REACH), min(first + block - 1, own + _REACH)
+    return float((x - min(max(own, lowest), highest)) ** 2)
 
 
 def _pool(grid: npt.NDArray[np.uint8], factor: int, stride: int) -> npt.NDArray[np.uint8]:
