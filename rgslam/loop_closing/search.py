@@ -17,6 +17,7 @@ import numpy as np
 from rgslam.config import LoopClosingConfig
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.scan_matching import (
+    SURFACE,
     ScanStore,
     agreement,
     build_surfel_map,
@@ -147,8 +148,11 @@ def propose_loop(
     turn = float(np.clip(3.0 * sigma_theta, 0.05, config.max_turn))
     chunk_poses = between(view.poses[anchor], view.poses[chunk])
     old = build_surfel_map(*view.store.in_world(chunk, chunk_poses), config.resolution)
-    patch_points, *_ = view.store.in_world(patch, between(view.poses[new], view.poses[patch]))
-    points = thinned(patch_points, 2.0 * config.resolution)
+    patch_points, _, _, classes = view.store.in_world(
+        patch, between(view.poses[new], view.poses[patch])
+    )
+    # Surfaces alone: stray returns of many scans would outnumber the walls, each in a cell its own
+    points = thinned(patch_points[classes == SURFACE], 2.0 * config.resolution)
     predicted = between(view.poses[anchor], view.poses[new])
     match = correlate(
         old,

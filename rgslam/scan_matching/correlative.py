@@ -18,6 +18,9 @@ from numba import njit
 from rgslam.scan_matching.surfel_map import BLOCKS, SurfelMap
 from rgslam.types import FloatArray, IntArray
 
+#: Share of the points that the steps of the search suit.
+_MOST = 2.0 / 3.0
+
 
 @dataclass(frozen=True, eq=False)
 class CorrelativeMatch:
@@ -179,10 +182,12 @@ def correlate(
         The winner on the lattice.
     """
     n = 255.0 * len(b_points)
-    ranges = np.partition(np.hypot(b_points[:, 0], b_points[:, 1]), int(0.8 * len(b_points)))
-    # One turn moves most points by a cell at most
+    # One turn moves most points by a cell at most. A larger share would often be of stray returns,
+    # from dust or through glass, and the search many times as long.
+    most = int(_MOST * len(b_points))
+    far = float(np.partition(np.hypot(b_points[:, 0], b_points[:, 1]), most)[most])
     resolution = known.surfels.resolution
-    turn = resolution / max(float(ranges[int(0.8 * len(ranges))]), 1.0)
+    turn = resolution / max(far, 1.0)
     half_cells = max(int(np.ceil(half_width / resolution)), 1)
     half_turns = max(int(np.ceil(half_angle / turn)), 1)
     search = _search(known, b_points, centre, half_cells, half_turns, turn, prior_weight)
