@@ -160,9 +160,7 @@ def test_levels_bound_the_finer_ones() -> None:
 def test_levels_of_a_sparse_map_are_those_of_a_dense_one() -> None:
     room = surfels_of(seen_from(np.zeros(3)), np.zeros(3))
     scan = seen_from(np.zeros(3))
-    far = np.array(
-        [[60.0, 60.0], [60.1, 60.0], [60.2, 60.0]]
-    )  # a wall far off
+    far = np.array([[60.0, 60.0], [60.1, 60.0], [60.2, 60.0]])  # a wall far off
     hall = build_surfel_map(
         np.vstack([scan.valid, far]),
         np.vstack([scan.normals[scan.classes != 0], np.tile([0.0, -1.0], (3, 1))]),
