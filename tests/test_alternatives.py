@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from stereo_scenes import CAMERA, Board, facing, render
 
-from rgslam.rectangles.alternatives import Readings, widened
+from rgslam.rectangles.alternatives import Readings, added_by_sides, widened
 from rgslam.rectangles.detection import detect_rectangles
 from rgslam.rectangles.maximum_likelihood import CornerMeasurements, fit_rectangles
 from rgslam.rectangles.rivals import other_readings
@@ -37,6 +37,14 @@ def test_two_equal_readings_add_half_the_square_of_what_is_between_them() -> Non
     assert np.abs(np.delete(np.diag(added), 6)).max() < 1e-8
     half = 0.5 * 0.04 * CAMERA.fx / 2.0  # px by which each corner moves
     assert np.diag(result.left_covariance)[::2] == pytest.approx(0.01 + 0.5 * half**2)
+
+
+def test_sides_are_unsure_independently() -> None:
+    every = readings(0.5, 0.54, 0.53, odds=[1.0, 1.0, 1.0])
+    apart = added_by_sides(every, np.array([1, 3])).covariance[6, 6]
+    assert apart == pytest.approx(0.5 * 0.04**2 + 0.5 * 0.03**2, rel=1e-3)
+    same = added_by_sides(every, np.array([1, 1])).covariance[6, 6]
+    assert same == pytest.approx((0.04**2 + 0.03**2) / 3.0, rel=1e-3)
 
 
 def test_what_is_unlikely_or_the_same_adds_little() -> None:

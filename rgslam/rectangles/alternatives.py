@@ -71,6 +71,27 @@ def widened(readings: Readings, best: int, others: IntArray) -> Widened:
     )
 
 
+def added_by_sides(readings: Readings, sides: IntArray) -> Widened:
+    """What other edges beside the sides of the first reading add to its second moments.
+
+    Each side may end at any of its own edges, whatever the others do: their shares add up.
+
+    Args:
+        readings: the first, then each with one side at another edge.
+        sides: (n - 1,), which side it is.
+    """
+    odds = np.where(np.isfinite(readings.odds), readings.odds, 0.0)
+    total = odds[0] + np.bincount(sides, odds[1:], 4)[sides]
+    weights = odds[1:] / np.maximum(total, 1e-300)
+    used = 1 + np.flatnonzero(weights > 0.0)
+    moved = (
+        _offsets(readings.estimates, 0, used),
+        (readings.left_px[used] - readings.left_px[0]).reshape(-1, 8),
+        (readings.right_px[used] - readings.right_px[0]).reshape(-1, 8),
+    )
+    return Widened(*(np.einsum("k,ki,kj->ij", weights[used - 1], m, m) for m in moved))
+
+
 def _moment(
     pixels: FloatArray, covariances: FloatArray, members: list[int], weights: FloatArray
 ) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.config import Config
 from rgslam.errors import CalibrationError
-from rgslam.rectangles.alternatives import Readings, widened
+from rgslam.rectangles.alternatives import Readings, added_by_sides, widened
 from rgslam.rectangles.edges_beside import edges_beside
 from rgslam.rectangles.gradients import GradientImage, gradient_image
 from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
@@ -282,14 +282,24 @@ def _odds(probability: FloatArray | float) -> FloatArray:
 def _allowing_for(readings: Readings, best: int, others: IntArray) -> dict[str, Any]:
     """The fields of a `DetectedRectangle` that other readings of the same thing change."""
     wider = widened(readings, best, others)
-    slopes = corner_jacobians(
-        readings.estimates.rotations[[best]], readings.estimates.sizes[[best]]
-    )[0]
+    rotation, size = readings.estimates.rotations[best], readings.estimates.sizes[best]
+    pixels = wider.left_covariance, wider.right_covariance
+    return _covariances(rotation, size, wider.covariance, *pixels)
+
+
+def _covariances(
+    rotation: FloatArray,
+    size: FloatArray,
+    covariance: FloatArray,
+    left_covariance: FloatArray,
+    right_covariance: FloatArray,
+) -> dict[str, Any]:
+    slopes = corner_jacobians(rotation[None], size[None])[0]
     return {
-        "covariance": wider.covariance,
-        "corner_covariances": slopes @ wider.covariance @ slopes.transpose(0, 2, 1),
-        "left_covariance": wider.left_covariance,
-        "right_covariance": wider.right_covariance,
+        "covariance": covariance,
+        "corner_covariances": slopes @ covariance @ slopes.transpose(0, 2, 1),
+        "left_covariance": left_covariance,
+        "right_covariance": right_covariance,
     }
 
 
@@ -317,10 +327,20 @@ def _with_border(
     )
     # One border is as good as the other, but for how well both images agree on one rectangle.
     odds = np.exp(-0.5 * np.clip(fitted.costs - fitted.costs[0], -50.0, 50.0))
-    readings = Readings(fitted, left, own, right, own_right, odds * fitted.converged)
     if not fitted.converged[0]:
         return found
-    return replace(found, **_allowing_for(readings, 0, 1 + np.arange(len(others))))
+    readings = Readings(fitted, left, own, right, own_right, odds * fitted.converged)
+    added = added_by_sides(readings, np.array([other.side for other in others]))
+    return replace(
+        found,
+        **_covariances(
+            found.rotation,
+            found.size,
+            found.covariance + added.covariance,
+            found.left_covariance + added.left_covariance,
+            found.right_covariance + added.right_covariance,
+        ),
+    )
 
 
 def _outward_slopes(found: DetectedRectangle, camera: StereoCamera) -> FloatArray:

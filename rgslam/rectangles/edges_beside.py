@@ -36,6 +36,7 @@ _LARGEST = 40  # samples to either side that fit into the room
 class OtherEdge:
     """Where the corners would be if the other edge were the border."""
 
+    side: int  # that it lies beside; side s joins corners s and s + 1
     left_px: FloatArray  # (4, 2)
     right_px: FloatArray  # (4, 2)
 
@@ -64,7 +65,7 @@ def edges_beside(
             if apart.min(initial=np.inf) <= _TOGETHER + _PARALLAX * abs(off):
                 both = (off, float(places[1][apart.argmin()]))
                 moved = [_moved(corners[i], side, outward[i], both[i]) for i in range(2)]
-                found.append(OtherEdge(*moved))
+                found.append(OtherEdge(side, *moved))
     return found
 
 
