@@ -5,12 +5,13 @@
 Variables: keyframes `X(k)` and stereo frames `F(f)` are `gtsam.Pose3` of the robot base; corner i
 of rectangle l is a point of the world, and its own frame a `gtsam.Pose3` (`rectangle_shape`).
 
-Poses are spatial although the robot drives on a floor: GTSAM's stereo and local plane factors take
-them, a hand-held camera needs them, and the floor is then an assumption with a sigma of its own.
+Poses are spatial although the robot drives on a floor: GTSAM's stereo factors take them, a
+hand-held camera needs them, and the floor is then an assumption with a sigma of its own.
 The cost was measured (tests/benchmarks/test_factor_graph_speed.py): 5,000 poses with 200 loops take
 1.1 to 1.2 times as long as planar ones.
 
-All factors are built-in ones.
+All factors are built-in ones. Axes of regions and posts of gateways join by `region_factors`, the
+mount of the camera by `camera_mount`.
 Gauge: the first keyframe is the origin of the world frame.
 """
 
@@ -101,7 +102,7 @@ class JointGraph:
         self.config = config
         self.factors = gtsam.NonlinearFactorGraph()
         self.initial = gtsam.Values()
-        self._cameras: MountedCameras = {} if cameras is None else cameras
+        self.cameras: MountedCameras = {} if cameras is None else cameras
         self._loop_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.loop_kernel)
         tilt, height = np.radians(config.floor_tilt_deg), config.floor_height
         sigmas = np.array([tilt, tilt, _UNKNOWN, _UNKNOWN, _UNKNOWN, height])
@@ -232,20 +233,20 @@ class JointGraph:
 
     def _camera(self, camera: StereoCamera, bTc: FloatArray) -> _MountedCamera:
         key = (camera, np.ascontiguousarray(bTc).tobytes())
-        if key not in self._cameras:
-            number = len(self._cameras)
-            self._cameras[key] = _MountedCamera.of(number, camera, bTc)
+        if key not in self.cameras:
+            number = len(self.cameras)
+            self.cameras[key] = _MountedCamera.of(number, camera, bTc)
             if self.config.calibrate:
                 turn, shift = np.radians(self.config.mount_turn_deg), self.config.mount_shift
                 sigmas = np.repeat([turn, shift], 3)
                 self.factors.push_back(mount_factors(number, camera, bTc, sigmas))
                 self.initial.insert(mount_values(number, camera, bTc))
-        return self._cameras[key]
+        return self.cameras[key]
 
     @property
     def mounted(self) -> tuple[gtsam.Pose3, ...]:
         """Where the cameras sit on the robot, as given; by number."""
-        return tuple(camera.mount for camera in self._cameras.values())
+        return tuple(camera.mount for camera in self.cameras.values())
 
     def mount(self, camera: StereoCamera, bTc: FloatArray, values: gtsam.Values) -> FloatArray:
         """Where a camera that was given at `bTc` sits according to `values`, (4, 4)."""
