@@ -581,6 +581,32 @@ def depth_noise_experiment(
     _print_json(result.to_dict()) if as_json else print_depth_noise(result)
 
 
+@experiment_app.command("probability")
+@_stoppable
+def probability_experiment(
+    worlds: Annotated[
+        list[str] | None, typer.Argument(metavar="[WORLD]...", help="All built-in ones if none.")
+    ] = None,
+    frames: Annotated[int, typer.Option("--frames", min=1, help="Pairs per building.")] = 50,
+    seed: Annotated[int, typer.Option("--seed", help="Of the sensors' noise.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Is what is stated as the probability of a rectangle true, in buildings not learnt from?
+
+    \b
+    Example:
+      rgslam experiment probability office lobby --frames 20
+    """
+    from rgslam.cli_output import StageProgress
+    from rgslam.experiments import run_probability
+    from rgslam.experiments.tables import print_probability
+    from rgslam.simulation import BUILT_IN_WORLDS
+
+    with StageProgress() as progress:
+        result = run_probability(worlds or BUILT_IN_WORLDS, frames, seed, progress.update)
+    _print_json(result.to_dict()) if as_json else print_probability(result)
+
+
 @experiment_app.command("regions")
 @_stoppable
 def regions_experiment(

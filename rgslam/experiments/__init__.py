@@ -5,6 +5,7 @@
 from rgslam.experiments.depth_noise import DepthNoiseResult, run_depth_noise
 from rgslam.experiments.discretization import DiscretizationResult, run_discretization
 from rgslam.experiments.fusion import FusionResult, run_fusion
+from rgslam.experiments.probability import ProbabilityResult, run_probability
 from rgslam.experiments.regions import RegionsResult, run_regions
 from rgslam.experiments.rules import RulesResult, learn_prediction_tables, run_rules
 
@@ -12,12 +13,14 @@ __all__ = [
     "DepthNoiseResult",
     "DiscretizationResult",
     "FusionResult",
+    "ProbabilityResult",
     "RegionsResult",
     "RulesResult",
     "learn_prediction_tables",
     "run_depth_noise",
     "run_discretization",
     "run_fusion",
+    "run_probability",
     "run_regions",
     "run_rules",
 ]

@@ -14,6 +14,7 @@ from rich.table import Table
 from rgslam.experiments.depth_noise import DepthNoiseResult, DepthNoiseRow
 from rgslam.experiments.discretization import DiscretizationResult
 from rgslam.experiments.fusion import FusionResult
+from rgslam.experiments.probability import ProbabilityResult
 from rgslam.experiments.regions import RegionsResult, VariantScore
 from rgslam.experiments.rules import (
     PAPER_FALSE_ABOVE,
@@ -358,3 +359,35 @@ def _print(
     if not console.is_terminal:
         console.width = max(console.width, _FILE_WIDTH)
     console.print(table)
+
+
+def print_probability(result: ProbabilityResult, console: Console | None = None) -> None:
+    """Print log losses per building, the reliability of what is stated, and the weights."""
+    _print(
+        console,
+        "Log loss of each building, by what is learnt in the others",
+        ["world", "hypotheses", "right", "shipped", "scaled", "learnt anew", "share alone"],
+        [
+            [b.building, str(b.hypotheses), str(b.right)]
+            + [f"{loss:.3f}" for loss in (b.shipped, b.scaled, b.learnt, b.share)]
+            for b in result.buildings
+        ],
+        f"Shipped log odds fit best times {result.scale:.2f}, plus {result.shift:.2f}.",
+    )
+    for title, bins in (
+        ("as shipped", result.reliability),
+        ("scaled as the other buildings say", result.reliability_scaled),
+    ):
+        _print(
+            console,
+            f"Of hypotheses stated with a probability, what share is right: {title}",
+            ["from", "to", "hypotheses", "stated", "right"],
+            [[f"{b.low:g}", f"{b.high:g}", str(b.count), f"{b.stated:.3f}", f"{b.right:.3f}"]
+             for b in bins],
+        )  # fmt: skip
+    _print(
+        console,
+        "Weights of the log odds",
+        ["figure", "shipped", "learnt anew"],
+        [[name, f"{result.shipped[name]:.2f}", f"{w:.2f}"] for name, w in result.weights.items()],
+    )

@@ -99,7 +99,11 @@ def _measured(
     )
     estimates = fit_rectangles(measurements, camera)
     probability = rectangle_probability(
-        quads.support, quads.support, estimates.costs, quads.loose_ends, _end_log_odds(ended)
+        quads.support,
+        quads.support,
+        estimates.costs,
+        quads.loose_ends,
+        other_log_odds=_end_log_odds(ended),
     )
     spread = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):

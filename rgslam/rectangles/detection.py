@@ -33,7 +33,6 @@ from rgslam.rectangles.right_search import find_in_right
 from rgslam.rectangles.rivals import other_readings, without_rivals
 from rgslam.rectangles.thin_frames import outer_border
 from rgslam.rectangles.verification import (
-    FAINT_LOG_ODDS,
     LARGEST_COST,
     RightCorners,
     is_possible,
@@ -90,6 +89,16 @@ class Detection:
     line_count: int
 
 
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """k quadrangles measured in both images."""
+
+    quads: Quadrangles
+    measured: RightCorners
+    estimates: RectangleEstimates
+    line_count: int  # in the left image
+
+
 def detect_rectangles(
     left: _GreyImage,
     right: _GreyImage,
@@ -118,9 +127,32 @@ def detect_rectangles(
             )
     rejected: Counter[Rejection] = Counter()
     gradients = (gradient_image(left, valid[0]), gradient_image(right, valid[1]))
+    seen = measure_hypotheses((left, right), gradients, camera, config, rejected)
+    found: tuple[DetectedRectangle, ...] = ()
+    if len(seen.quads):
+        found = _accept(seen.quads, seen.measured, seen.estimates, config, rejected)
+        found = tuple(_with_border(one, (left, right), gradients, camera) for one in found)
+    return Detection(found, {why: n for why, n in rejected.items() if n}, seen.line_count)
 
+
+def measure_hypotheses(
+    images: tuple[_GreyImage, _GreyImage],
+    gradients: tuple[GradientImage, GradientImage],
+    camera: StereoCamera,
+    config: Config,
+    rejected: Counter[Rejection],
+) -> Hypotheses:
+    """All that could be a rectangle, measured in both images, before anything is believed.
+
+    Args:
+        images: Left and right.
+        gradients: Of these.
+        camera: The rectified pair.
+        config: Sections `stereo` and `rectangles`.
+        rejected: Counts are added to it.
+    """
     # 1. Hypotheses: four lines each
-    lines = lines_of_gradient(left, gradients[0], config.rectangles)
+    lines = lines_of_gradient(images[0], gradients[0], config.rectangles)
     least = config.rectangles.min_probability
     quads = find_quadrangles(
         lines,
@@ -134,30 +166,15 @@ def detect_rectangles(
     # 2., 3. Normal and shape, before any depth
     quads = of_rectangular_shape(from_lower_left(quads), camera, config, rejected)
 
-    if not len(quads):
-        return _detection((), rejected, len(lines))
-
     # 5. The right image: where the sides are there, and corner disparities from them
-    dense = compute_disparity(left, right, camera, config.stereo)
-    quads, measured = _in_right_image(quads, gradients, camera, dense, config, rejected)
-
-    if not len(quads):
-        return _detection((), rejected, len(lines))
+    if len(quads):
+        dense = compute_disparity(*images, camera, config.stereo)
+        quads, measured = _in_right_image(quads, gradients, camera, dense, config, rejected)
+    else:
+        measured = RightCorners(quads.corners, quads.covariances, quads.support)
 
     # 4. Maximum likelihood from all corners in both images
-    estimates = _estimate(quads, measured, camera)
-    found = _accept(quads, measured, estimates, config, rejected)
-    return _detection(
-        tuple(_with_border(one, (left, right), gradients, camera) for one in found),
-        rejected,
-        len(lines),
-    )
-
-
-def _detection(
-    found: tuple[DetectedRectangle, ...], rejected: Counter[Rejection], line_count: int
-) -> Detection:
-    return Detection(found, {why: count for why, count in rejected.items() if count}, line_count)
+    return Hypotheses(quads, measured, _estimate(quads, measured, camera), len(lines))
 
 
 def from_lower_left(quads: Quadrangles) -> Quadrangles:
@@ -236,7 +253,7 @@ def _accept(
         measured.support,
         estimates.costs,
         quads.loose_ends,
-        np.where(quads.faint, FAINT_LOG_ODDS, 0.0),
+        quads.faint,
     )
     sigma = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):

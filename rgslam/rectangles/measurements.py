@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,7 +115,9 @@ class Problem:
         baseline = stereo.baseline if stereo else 0.0
         return cls(
             np.array([camera.fx, camera.fy, camera.cx, camera.cy, baseline]),
-            np.concatenate([values.reshape(n, -1) for values in flat], axis=1),
+            np.concatenate(
+                [values.reshape(n, math.prod(values.shape[1:])) for values in flat], axis=1
+            ),
             whiteners,
             np.where(known, 1.0 / given.depth_sigmas, 0.0),
             with_right,
