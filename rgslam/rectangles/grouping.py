@@ -19,12 +19,11 @@ from rgslam.types import FloatArray, IntArray
 # What the compiled loop counts, by index.
 REASONS = (
     Rejection.TOO_SMALL,
-    Rejection.PARALLEL,
     Rejection.SELF_INTERSECTING,
     Rejection.ANGLE_OUT_OF_RANGE,
     Rejection.WEAK_BORDER,
 )
-_SMALL, _PARALLEL, _CROSSED, _ANGLE, _WEAK = range(5)
+_SMALL, _CROSSED, _ANGLE, _WEAK = range(4)
 _GOOD = -1
 # px from a corner between which a line is asked whether it goes on, or stops short of it, and the
 # share of an edge that says yes.
@@ -189,7 +188,7 @@ def _closed(
     members = np.empty((_MOST_FOUND, 4), dtype=np.int64)
     quality = np.empty((_MOST_FOUND, 4))
     loose_ends = np.empty(_MOST_FOUND, dtype=np.int64)
-    refused = np.zeros(5, dtype=np.int64)
+    refused = np.zeros(4, dtype=np.int64)
     lines = np.empty(4, dtype=np.int64)
     share, room = np.empty(4), np.empty((4, 3))
     total, start = 0, 0

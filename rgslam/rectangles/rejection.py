@@ -13,8 +13,8 @@ class Rejection(Enum):
     # Hypotheses in the image
     TOO_FEW_LINES = "fewer than four lines"
     TOO_SMALL = "too small in the image"
-    PARALLEL = "three or four sides almost parallel"
     SELF_INTERSECTING = "opposite sides intersect"
+    # Lines that are almost parallel make no corner, so that three of them make no hypothesis.
     ANGLE_OUT_OF_RANGE = "internal angle outside the reliable range"
     WEAK_BORDER = "too little of the sides seen in the image"
     DUPLICATE = "another hypothesis explains the same sides better"

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Full detection on one 766 x 580 pair on one core; the peer is OpenCV's line detector alone.
 
-The goal is 8 pairs a second, disparity included, on a core where the line detector takes 40 ms.
+The goal is 8 pairs a second, disparity included.
 """
 
 from __future__ import annotations
