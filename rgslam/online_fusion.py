@@ -41,6 +41,9 @@ class OnlineFusion:
         parameters = gtsam.ISAM2Params()
         parameters.relinearizeSkip = 1
         parameters.setRelinearizeThreshold(0.01)
+        # Ties of rectangles are a thousand times tighter than a drifting pose: their normal
+        # equations lose the digits that Cholesky's factorisation needs
+        parameters.setFactorization("QR")
         self._isam = gtsam.ISAM2(parameters)
         self._association = DataAssociation(self.config.data_association)
         self._edges: dict[int, tuple[PoseEdge, int]] = {}  # by identity: edge, place in iSAM2
