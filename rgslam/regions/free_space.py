@@ -27,7 +27,7 @@ class Island:
 
     label: int
     cells: int
-    longest: int  # cells, longer side of its bounding box
+    box: tuple[int, int, int, int]  # cells: first column, first row, width, height
     length: float  # cells, longer side of its smallest rectangle, between the cells' centres
     depth: float  # cells, shorter side of the same
 
@@ -44,7 +44,7 @@ def find_islands(free: BoolArray) -> tuple[LabelArray, list[Island]]:
             continue
         points = np.argwhere(labels[y : y + h, x : x + w] == i).astype(np.float32)
         _, sides, _ = cv2.minAreaRect(points)
-        islands.append(Island(i, cells, max(w, h), max(sides), min(sides)))
+        islands.append(Island(i, cells, (x, y, w, h), max(sides), min(sides)))
     return np.asarray(labels, np.int32), islands
 
 
@@ -66,7 +66,7 @@ def fill_islands(
     filled = [
         island.label
         for island in islands
-        if island.longest * resolution <= regions.largest_object
+        if max(island.box[2:]) * resolution <= regions.largest_object
         or (
             island.length * resolution <= regions.largest_furniture
             and thickest < island.depth * resolution <= regions.deepest_furniture
@@ -96,11 +96,13 @@ def islands_in_regions(
             or island.depth * resolution > regions.deepest_furniture
         ):
             continue
-        cells = pieces == island.label
+        x, y, w, h = island.box  # an island never touches the margin
+        part = np.s_[y - 1 : y + h + 1, x - 1 : x + w + 1]
+        cells = pieces[part] == island.label
         around = cv2.dilate(cells.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        beside = np.unique(labels[around & ~cells])
+        beside = np.unique(labels[part][around & ~cells])
         if len(beside) == 1:
-            found[cells] = beside[0]
+            found[part][cells] = beside[0]
     return found
 
 

@@ -26,6 +26,8 @@ _WALL_NOISE = 0.06
 # Share of a hidden place's inner cells that may have been seen occupied: a laser does not look
 # inside of furniture, but it does see the far side of a pier.
 _SEEN_INSIDE = 0.1
+# The longest edges of an outline, which tell the direction of the walls.
+_EDGES = 200
 # Share of it that may be somebody else's: what shows through the joints of a wall.
 _OF_OTHERS = 0.02
 
@@ -110,12 +112,11 @@ def _turn_to_walls(inside: BoolArray) -> tuple[FloatArray, FloatArray]:
 
     The second maps as `cv2.warpAffine` takes it: from the turned image to the part of the grid.
     """
-    edges = [
-        LineSegment(np.stack([a, b]), 1.0)
-        for polygon in trace_outlines(inside, 1.5).polygons()
-        for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True)
-    ]
-    axis = main_axes(tuple(edges))[0]
+    rings = trace_outlines(inside, 1.5).polygons()
+    edges = np.concatenate([np.stack([p, np.roll(p, -1, axis=0)], axis=1) for p in rings])
+    lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    longest = np.argsort(-lengths, kind="stable")[:_EDGES]
+    axis = main_axes(tuple(LineSegment(edges[k], 1.0) for k in longest))[0]
     # Quarter turns change nothing: the smallest one
     angle = (np.arctan2(axis[1], axis[0]) + np.pi / 4) % (np.pi / 2) - np.pi / 4
     height, width = inside.shape
