@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.config import Config
 from rgslam.errors import CalibrationError
 from rgslam.rectangles.alternatives import Readings, added_by_sides, widened
-from rgslam.rectangles.edges_beside import edges_beside
+from rgslam.rectangles.edges_beside import OtherEdge, edges_beside
 from rgslam.rectangles.gradients import GradientImage, gradient_image
 from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
 from rgslam.rectangles.line_segments import lines_of_gradient
@@ -131,7 +131,7 @@ def detect_rectangles(
     found: tuple[DetectedRectangle, ...] = ()
     if len(seen.quads):
         found = _accept(seen.quads, seen.measured, seen.estimates, config, rejected)
-        found = tuple(_with_border(one, (left, right), gradients, camera) for one in found)
+        found = _with_borders(found, (left, right), gradients, camera)
     return Detection(found, {why: n for why, n in rejected.items() if n}, seen.line_count)
 
 
@@ -320,33 +320,75 @@ def _covariances(
     }
 
 
-def _with_border(
-    found: DetectedRectangle,
+def _with_borders(
+    found: Sequence[DetectedRectangle],
     images: tuple[_GreyImage, _GreyImage],
     gradients: tuple[GradientImage, GradientImage],
     camera: StereoCamera,
-) -> DetectedRectangle:
-    """The same thing as far as its thin frame reaches; unsure where another edge may be its end."""
-    slopes = _outward_slopes(found, camera)
-    framed = _with_frame(found, images, slopes, camera)
-    if framed is not None:
-        return framed
-    corners = np.array([found.left_px, found.right_px])
-    others = edges_beside(gradients, corners, camera.fx / float(found.translation[2]))
-    if not others:
-        return found
-    left = np.array([found.left_px, *(other.left_px for other in others)])
-    right = np.array([found.right_px, *(other.right_px for other in others)])
-    own = np.broadcast_to(found.left_covariance, (len(left), 8, 8))
-    own_right = np.broadcast_to(found.right_covariance, (len(left), 8, 8))
+) -> tuple[DetectedRectangle, ...]:
+    """The same things as far as their thin frames reach; unsure where another edge may end one."""
+    framed = [_with_frame(one, images, _outward_slopes(one, camera), camera) for one in found]
+    others = [
+        edges_beside(gradients, _both(one), camera.fx / float(one.translation[2]))
+        if frame is None
+        else []
+        for one, frame in zip(found, framed, strict=True)
+    ]
+    unsure = [k for k, beside in enumerate(others) if beside]
+    result = [frame or one for one, frame in zip(found, framed, strict=True)]
+    for k, readings in zip(
+        unsure,
+        _readings([found[k] for k in unsure], [others[k] for k in unsure], camera),
+        strict=True,
+    ):
+        result[k] = _unsure_of_sides(found[k], readings, others[k])
+    return tuple(result)
+
+
+def _both(found: DetectedRectangle) -> FloatArray:
+    """Corners (2, 4, 2) in either image."""
+    return np.array([found.left_px, found.right_px])
+
+
+def _readings(
+    found: Sequence[DetectedRectangle], others: Sequence[list[OtherEdge]], camera: StereoCamera
+) -> list[Readings]:
+    """Of each thing the reading as found, and those with another edge in place of a side."""
+    if not found:
+        return []
+    counts = [1 + len(beside) for beside in others]
+    corners = np.array(
+        [
+            pair
+            for one, beside in zip(found, others, strict=True)
+            for pair in [_both(one), *(np.array([o.left_px, o.right_px]) for o in beside)]
+        ]
+    ).reshape(-1, 2, 4, 2)
+    own = np.repeat([one.left_covariance for one in found], counts, axis=0)
+    own_right = np.repeat([one.right_covariance for one in found], counts, axis=0)
+    left, right = corners[:, 0], corners[:, 1]
     fitted = fit_rectangles(
         CornerMeasurements.of(left, own, right_px=right, right_covariance=own_right), camera
     )
-    # One border is as good as the other, but for how well both images agree on one rectangle.
-    odds = np.exp(-0.5 * np.clip(fitted.costs - fitted.costs[0], -50.0, 50.0))
-    if not fitted.converged[0]:
+    ends = np.cumsum(counts)
+    parts = [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
+    return [
+        Readings(
+            fitted.part(k), left[k], own[k], right[k], own_right[k],
+            # One border is as good as the other, but for how well both images agree on it
+            np.exp(-0.5 * np.clip(fitted.costs[k] - fitted.costs[k.start], -50.0, 50.0))
+            * fitted.converged[k],
+        )
+        for k in parts
+    ]  # fmt: skip
+
+
+def _unsure_of_sides(
+    found: DetectedRectangle, readings: Readings, others: Sequence[OtherEdge]
+) -> DetectedRectangle:
+    """The rectangle as unsure as the other edges beside its sides make it."""
+    if not readings.estimates.converged[0]:
         return found
-    readings = Readings(fitted, left, own, right, own_right, odds * fitted.converged)
     added = added_by_sides(readings, np.array([other.side for other in others]))
     return replace(
         found,

@@ -15,6 +15,7 @@ the stated rotation is worse than that, the truth is farther off than a Gaussian
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +53,12 @@ class RectangleEstimates:
     # (n,), that the mirror image of the tilt is the truth (the covariance allows for it); None
     # where every rectangle has too much perspective for one.
     rival_probability: FloatArray | None = None
+
+    def part(self, which: slice) -> RectangleEstimates:
+        """Some of them."""
+        values = [getattr(self, field.name) for field in fields(self)]
+        parts: list[Any] = [None if value is None else value[which] for value in values]
+        return RectangleEstimates(*parts)
 
     @property
     def corners(self) -> FloatArray:
