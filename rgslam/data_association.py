@@ -16,13 +16,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import chdtri
 
 from rgslam.camera import StereoCamera
 from rgslam.config import DataAssociationConfig
+from rgslam.factor_graph.rectangle_shape import rectangle_axes
 from rgslam.factor_graph.stereo_corners import StereoCorners
 from rgslam.geometry import planar_matrix
 from rgslam.rectangles.least_squares import SIDE
@@ -39,6 +40,23 @@ class RectangleState:
     wTr: FloatArray  # (4, 4)
     size: FloatArray  # (2,), m
     covariance: FloatArray  # (8, 8), tangent of gtsam.Pose3 at wTr (rotation, translation), size
+
+    @classmethod
+    def of_corners(cls, corners: FloatArray, spread: FloatArray | None = None) -> RectangleState:
+        """The rectangle nearest to four corners.
+
+        Args:
+            corners: (4, 3), m, w, counter-clockwise from the lower left.
+            spread: (12, 12), m^2, covariance of `corners.ravel()`; None: exact.
+        """
+        wTr = np.eye(4)
+        wTr[:3, :3], size = rectangle_axes(corners)
+        wTr[:3, 3] = corners.mean(axis=0)
+        state = cls(wTr, size, np.zeros((8, 8)))
+        if spread is None:
+            return state
+        by_corners = np.linalg.pinv(state.corner_slopes)
+        return replace(state, covariance=by_corners @ spread @ by_corners.T)
 
     @property
     def corners(self) -> FloatArray:

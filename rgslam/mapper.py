@@ -52,7 +52,7 @@ from rgslam.wheel_noise import WheelNoise
 if TYPE_CHECKING:  # loaded when there are images: most runs have none
     from rgslam.data_association import RectangleState
     from rgslam.fusion import Fusion, Solution
-    from rgslam.online_fusion import OnlineFusion
+    from rgslam.fusion.online import OnlineFusion
 
 #: What a step without any motion may still be off: the wheels stand, the robot may be pushed or a
 #: stamp be late. 1 cm and 0.3 degrees.
@@ -367,7 +367,7 @@ class Mapper:
         Asked again, only what came since is added: cheap at any time of the run. `map` knows a
         little more, as it looks at all sights again.
         """
-        from rgslam.online_fusion import OnlineFusion
+        from rgslam.fusion.online import OnlineFusion
 
         if self._online is None:
             self._online = OnlineFusion(self.config)

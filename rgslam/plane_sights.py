@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 
 from rgslam.data_association import RectangleState
-from rgslam.geometry import planar_matrix
+from rgslam.factor_graph.joint_graph import spatial
 from rgslam.scan_hits import Hits, hits_of
 from rgslam.types import FloatArray, IntArray, LaserScan
 
@@ -64,7 +64,7 @@ def laser_plane_sights(
         for keyframe in _best_of_passes(numbers):
             mine = numbers == keyframe
             moved, covariance = _seen_plane(x[mine], z[mine], float(state.size[0]))
-            wTb, wTr = gtsam.Pose3(planar_matrix(keyframes[keyframe])), gtsam.Pose3(state.wTr)
+            wTb, wTr = spatial(keyframes[keyframe]), gtsam.Pose3(state.wTr)
             bTr = wTb.between(wTr.compose(moved))
             found.append(PlaneSight(number, keyframe, bTr, covariance))
     return found

@@ -22,8 +22,8 @@ from rgslam.data_association import FramePose, mount_slopes, project_points
 from rgslam.factor_graph import stereo_corners
 from rgslam.factor_graph.camera_mount import corner_factors, image_covariances, mount_values
 from rgslam.fusion import Fusion, fuse_landmarks, mounted_frames
+from rgslam.fusion.online import OnlineFusion
 from rgslam.observations import PlacedFrame
-from rgslam.online_fusion import OnlineFusion
 from rgslam.rg_map import mount_details
 from rgslam.types import CameraMount
 

@@ -9,7 +9,7 @@ import pytest
 from door_runs import DoorRun, door_run
 
 from rgslam.fusion import Fusion, fuse_landmarks
-from rgslam.online_fusion import OnlineFusion
+from rgslam.fusion.online import OnlineFusion
 from rgslam.types import EdgeKind, PoseEdge
 
 

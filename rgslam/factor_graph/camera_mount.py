@@ -17,6 +17,7 @@ import gtsam_unstable
 import numpy as np
 
 from rgslam.camera import StereoCamera
+from rgslam.config import FactorGraphConfig
 from rgslam.factor_graph.stereo_corners import StereoCorners
 from rgslam.types import FloatArray
 
@@ -32,6 +33,11 @@ def left_key(number: int) -> int:
 def right_key(number: int) -> int:
     """The same of the right camera."""
     return int(gtsam.symbol("n", number))
+
+
+def prior_sigmas(config: FactorGraphConfig) -> FloatArray:
+    """How well the mount is known beforehand (6,): rotation (rad), translation (m)."""
+    return np.repeat([np.radians(config.mount_turn_deg), config.mount_shift], 3)
 
 
 def mount_values(number: int, camera: StereoCamera, bTc: FloatArray) -> gtsam.Values:

@@ -25,7 +25,13 @@ import numpy as np
 
 from rgslam.camera import StereoCamera
 from rgslam.config import FactorGraphConfig
-from rgslam.factor_graph.camera_mount import corner_factors, left_key, mount_factors, mount_values
+from rgslam.factor_graph.camera_mount import (
+    corner_factors,
+    left_key,
+    mount_factors,
+    mount_values,
+    prior_sigmas,
+)
 from rgslam.factor_graph.rectangle_shape import RectangleKeys, shape_factors, shape_values
 from rgslam.factor_graph.stereo_corners import StereoCorners
 from rgslam.types import CameraMount, EdgeKind, FloatArray, PoseEdge
@@ -237,9 +243,9 @@ class JointGraph:
             number = len(self.cameras)
             self.cameras[key] = _MountedCamera.of(number, camera, bTc)
             if self.config.calibrate:
-                turn, shift = np.radians(self.config.mount_turn_deg), self.config.mount_shift
-                sigmas = np.repeat([turn, shift], 3)
-                self.factors.push_back(mount_factors(number, camera, bTc, sigmas))
+                self.factors.push_back(
+                    mount_factors(number, camera, bTc, prior_sigmas(self.config))
+                )
                 self.initial.insert(mount_values(number, camera, bTc))
         return self.cameras[key]
 
@@ -303,8 +309,7 @@ class JointMarginals:
         the floor (first canonical correlation).
         """
         keys = [*corner_keys(number), key]
-        joint = self._marginals.jointMarginalCovariance(keys)
-        full = np.block([[joint.at(a, b) for b in keys] for a in keys])
+        full = joint_covariance(self._marginals, keys)
         to_centre = np.zeros((6, 18))
         to_centre[:3, :12] = np.tile(0.25 * np.eye(3), 4)
         to_centre[3:, 12:] = np.eye(6)[_PLANAR]
@@ -315,15 +320,30 @@ class JointMarginals:
 
     def rectangle(self, number: int) -> RectangleMarginal:
         """Corners of a rectangle with their joint covariance."""
-        corners = np.array([self._values.atPoint3(key) for key in corner_keys(number)])
-        return RectangleMarginal(corners, self.corner_covariance([number]))
+        return RectangleMarginal(corners_of(self._values, number), self.corner_covariance([number]))
 
     def corner_covariance(self, numbers: Sequence[int]) -> FloatArray:
         """Joint covariance (12 n, 12 n) of the corners of n rectangles, m^2, w."""
         keys = [key for number in numbers for key in corner_keys(number)]
-        joint = self._marginals.jointMarginalCovariance(keys)
-        covariance = np.block([[joint.at(a, b) for b in keys] for a in keys])
-        return 0.5 * (covariance + covariance.T)
+        return joint_covariance(self._marginals, keys)
+
+
+def joint_covariance(marginals: gtsam.Marginals | gtsam.ISAM2, keys: Sequence[int]) -> FloatArray:
+    """Covariance (n, n) of some variables together, in the order of their keys."""
+    joint = marginals.jointMarginalCovariance(list(keys))
+    covariance = np.block([[joint.at(a, b) for b in keys] for a in keys])
+    return 0.5 * (covariance + covariance.T)
+
+
+def corners_of(values: gtsam.Values, number: int) -> FloatArray:
+    """Corners (4, 3) of a rectangle, w."""
+    return np.array([values.atPoint3(key) for key in corner_keys(number)])
+
+
+def keyframe_poses(values: gtsam.Values, count: int) -> FloatArray:
+    """Planar poses (count, 3) of the keyframes, wTb."""
+    poses = [planar(values.atPose3(keyframe_key(k))) for k in range(count)]
+    return np.array(poses).reshape(-1, 3)
 
 
 def spatial(wTb: Sequence[float] | FloatArray) -> gtsam.Pose3:

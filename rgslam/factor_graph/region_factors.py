@@ -12,6 +12,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from rgslam.factor_graph.joint_graph import spatial
 from rgslam.types import FloatArray
 
 #: Sigmas at which influence starts to fade: Cauchy, 95 % efficient if all noise is Gaussian.
@@ -30,10 +31,10 @@ def axis_key(number: int) -> int:
     return int(gtsam.symbol("h", number))
 
 
-def post_prior(number: int, height: float = 0.0) -> gtsam.NonlinearFactor:
+def post_prior(number: int) -> gtsam.NonlinearFactor:
     """Posts are seen in the plane of the floor."""
     loose = gtsam.noiseModel.Diagonal.Sigmas(np.array([_UNKNOWN, _UNKNOWN, _EXACT]))
-    return gtsam.PriorFactorPoint3(post_key(number), gtsam.Point3(0.0, 0.0, height), loose)
+    return gtsam.PriorFactorPoint3(post_key(number), gtsam.Point3(0.0, 0.0, 0.0), loose)
 
 
 def post_factor(
@@ -56,8 +57,8 @@ def post_factor(
 def axis_prior(number: int, where: FloatArray) -> gtsam.NonlinearFactor:
     """An axis lies on the floor, at a place (2,) that means nothing."""
     sigmas = np.array([_EXACT, _EXACT, _UNKNOWN, 1.0, 1.0, 1.0])
-    pose = gtsam.Pose3(gtsam.Rot3(), np.append(where, 0.0))
-    return gtsam.PriorFactorPose3(axis_key(number), pose, gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    return gtsam.PriorFactorPose3(axis_key(number), spatial([*where, 0.0]), noise)
 
 
 def axis_factor(pose_key: int, number: int, bTh: FloatArray, sigma: float) -> gtsam.NonlinearFactor:
@@ -70,9 +71,8 @@ def axis_factor(pose_key: int, number: int, bTh: FloatArray, sigma: float) -> gt
         sigma: of the heading, rad.
     """
     sigmas = np.array([_UNKNOWN, _UNKNOWN, sigma, _UNKNOWN, _UNKNOWN, _UNKNOWN])
-    pose = gtsam.Pose3(gtsam.Rot3.Yaw(float(bTh[2])), np.append(bTh[:2], 0.0))
     noise = _robust(gtsam.noiseModel.Diagonal.Sigmas(sigmas))
-    return gtsam.BetweenFactorPose3(pose_key, axis_key(number), pose, noise)
+    return gtsam.BetweenFactorPose3(pose_key, axis_key(number), spatial(bTh), noise)
 
 
 def _robust(noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Robust:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from rgslam.factor_graph.joint_graph import JointGraph, frame_key
+from rgslam.factor_graph.joint_graph import JointGraph, frame_key, joint_covariance
 from rgslam.fusion import Solution
 from rgslam.types import FloatArray
 
@@ -66,8 +66,7 @@ def _foretold(
     for key in keys:
         order.push_back(key)
     slopes, off = factors.linearize(values).jacobian(order)  # in standard deviations: R = 1
-    joint = marginals.jointMarginalCovariance(keys)
-    known = np.block([[joint.at(a, b) for b in keys] for a in keys])
+    known = joint_covariance(marginals, keys)
     left, axes = np.linalg.eigh(np.eye(len(off)) - slopes @ known @ slopes.T)
     foretold = left > _LEAST_LEFT
     along: FloatArray = axes[:, foretold].T @ off

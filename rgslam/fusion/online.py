@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The rgslam authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Landmarks while the run goes on: the factors of `rgslam.fusion`, solved by iSAM2.
+"""Landmarks while the run goes on: the factors of `rgslam.fusion.batch`, solved by iSAM2.
 
 What was decided stays decided: a sight given to a track is not given to another one later, as
 `fuse_landmarks` does at the end with everything known.
@@ -9,6 +9,7 @@ What was decided stays decided: a sight given to a track is not given to another
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -21,11 +22,12 @@ from rgslam.factor_graph.joint_graph import (
     MountedCameras,
     corner_keys,
     frame_key,
+    joint_covariance,
     keyframe_key,
     planar,
     spatial,
 )
-from rgslam.fusion import frame_pose, given_mounts, seen_from, sights_of, state_covariance, state_of
+from rgslam.fusion.sights import frame_pose, given_mounts, seen_from, sights_of
 from rgslam.geometry import compose
 from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
@@ -145,9 +147,9 @@ class OnlineFusion:
             self._isam.update(graph.factors, graph.initial)
         for index in given.values():
             if index in self._numbers:
-                state = self._association.tracks[index].state
-                corners = self._corners(self._numbers[index])
-                self._association.tracks[index].state = state_of(corners, state.covariance)
+                track = self._association.tracks[index]
+                found = RectangleState.of_corners(self._corners(self._numbers[index]))
+                track.state = replace(found, covariance=track.state.covariance)
 
     def _add_sights(self, graph: JointGraph, index: int, track: Track) -> None:
         """The sights of a track that the graph does not hold yet, with their frames."""
@@ -186,8 +188,5 @@ class OnlineFusion:
         return np.array([self._isam.calculateEstimatePoint3(key) for key in corner_keys(number)])
 
     def _state(self, number: int) -> RectangleState:
-        joint = self._isam.jointMarginalCovariance(corner_keys(number))
-        keys = corner_keys(number)
-        spread = np.block([[joint.at(a, b) for b in keys] for a in keys])
-        state = state_of(self._corners(number), np.zeros((8, 8)))
-        return state_of(self._corners(number), state_covariance(state, spread))
+        spread = joint_covariance(self._isam, corner_keys(number))
+        return RectangleState.of_corners(self._corners(number), spread)
