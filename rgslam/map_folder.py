@@ -66,7 +66,8 @@ def replace_file(path: Path | str, content: bytes) -> None:
     except OSError as error:
         raise MapError(f"{path}: cannot write the file: {error}") from error
     finally:
-        scratch.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # also where a file stands in the folder's place
+            scratch.unlink()
 
 
 def check_replaceable(folder: Path | str, names: Collection[str]) -> None:

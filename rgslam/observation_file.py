@@ -28,7 +28,7 @@ from rgslam.rectangles.rejection import Rejection
 from rgslam.types import FloatArray
 
 if TYPE_CHECKING:
-    from rgslam.rectangles.detection import DetectedRectangle
+    from rgslam.rectangles.detected import DetectedRectangle
 
 FORMAT = "rgslam/observations"
 VERSION = 1
@@ -142,26 +142,22 @@ def _frame_of(entry: dict[str, Any], cameras: list[StereoCamera]) -> PlacedFrame
 
 def _rectangle_of(entry: dict[str, Any]) -> DetectedRectangle:
     # Here, as a run without images needs none of it
-    from rgslam.rectangles.detection import DetectedRectangle
-    from rgslam.rectangles.maximum_likelihood import corner_jacobians
+    from rgslam.rectangles.detected import DetectedRectangle, covariance_fields
 
     rotation, size = _numbers(entry["rotation"], (3, 3)), _numbers(entry["size"], (2,))
     translation, covariance = _numbers(entry["translation"], (3,)), _full(entry["covariance"], 8)
-    slopes = corner_jacobians(rotation[None], size[None])[0]
+    pixels = _full(entry["left_covariance"], 8), _full(entry["right_covariance"], 8)
     return DetectedRectangle(
         rotation=rotation,
         translation=translation,
         size=size,
-        covariance=covariance,
         corners=(_SIGNS * size) @ rotation[:, :2].T + translation,
-        corner_covariances=slopes @ covariance @ slopes.transpose(0, 2, 1),
         left_px=_numbers(entry["left_px"], (4, 2)),
-        left_covariance=_full(entry["left_covariance"], 8),
         right_px=_numbers(entry["right_px"], (4, 2)),
-        right_covariance=_full(entry["right_covariance"], 8),
         cost=float(entry["chi_square"]),
         probability=float(entry["probability"]),
         support=_numbers(entry["support"], (4,)),
+        **covariance_fields(rotation, size, covariance, *pixels),
     )
 
 

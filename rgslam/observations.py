@@ -19,7 +19,7 @@ from rgslam.geometry import compose
 from rgslam.types import FloatArray, Message, StereoPair
 
 if TYPE_CHECKING:
-    from rgslam.rectangles.detection import DetectedRectangle
+    from rgslam.rectangles.detected import DetectedRectangle
     from rgslam.rectangles.rejection import Rejection
 
 

@@ -12,10 +12,9 @@ import numpy.typing as npt
 from rgslam.camera import PinholeCamera
 from rgslam.config import Config, RectangleConfig
 from rgslam.errors import CalibrationError
+from rgslam.rectangles.detected import DetectedRectangle, estimated
 from rgslam.rectangles.detection import (
-    DetectedRectangle,
     Detection,
-    estimated,
     from_lower_left,
 )
 from rgslam.rectangles.gradients import gradient_image

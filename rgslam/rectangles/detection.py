@@ -5,25 +5,25 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from rgslam.camera import PinholeCamera, StereoCamera
 from rgslam.config import Config
 from rgslam.errors import CalibrationError
-from rgslam.rectangles.alternatives import Readings, added_by_sides, widened
-from rgslam.rectangles.edges_beside import OtherEdge, edges_beside
+from rgslam.rectangles.alternatives import Readings, widened
+from rgslam.rectangles.borders import with_borders
+from rgslam.rectangles.detected import DetectedRectangle as DetectedRectangle
+from rgslam.rectangles.detected import covariance_fields, estimated
 from rgslam.rectangles.gradients import GradientImage, gradient_image
 from rgslam.rectangles.hypotheses import Quadrangles, find_quadrangles
 from rgslam.rectangles.line_segments import lines_of_gradient
 from rgslam.rectangles.maximum_likelihood import (
     CornerMeasurements,
     RectangleEstimates,
-    corner_jacobians,
     fit_rectangles,
 )
 from rgslam.rectangles.plane_normal import plane_normal
@@ -31,53 +31,14 @@ from rgslam.rectangles.ray_plane import shape_score
 from rgslam.rectangles.rejection import Rejection
 from rgslam.rectangles.right_search import find_in_right
 from rgslam.rectangles.rivals import other_readings, without_rivals
-from rgslam.rectangles.thin_frames import outer_border
 from rgslam.rectangles.verification import (
-    LARGEST_COST,
     RightCorners,
     is_possible,
     measure_in_right,
     rectangle_probability,
 )
 from rgslam.stereo.disparity import DisparityImage, compute_disparity
-from rgslam.types import FloatArray, IntArray
-
-_GreyImage = npt.NDArray[np.uint8]
-_Mask = npt.NDArray[np.bool_]
-_WIDENING = 1e-3  # m, a step small enough for a derivative
-
-
-@dataclass(frozen=True, eq=False)
-class DetectedRectangle:
-    """A rectangle seen by a stereo camera; c is the left rectified camera.
-
-    Its frame: origin at the centre, x along the width, y along the height (up), z the normal
-    towards the camera. Corners run counter-clockwise from the lower left.
-    """
-
-    rotation: FloatArray  # (3, 3), of cTr
-    translation: FloatArray  # (3,), m, of cTr
-    size: FloatArray  # (2,), m, width and height
-    covariance: FloatArray  # (8, 8), tangent of gtsam.Pose3 (rotation, translation), width, height
-    corners: FloatArray  # (4, 3), m, c
-    corner_covariances: FloatArray  # (4, 3, 3), m^2, c
-    left_px: FloatArray  # (4, 2), measured
-    left_covariance: FloatArray  # (8, 8), px^2
-    right_px: FloatArray  # (4, 2), measured
-    right_covariance: FloatArray  # (8, 8), px^2
-    cost: float  # chi-square of the fit, 8 degrees of freedom
-    probability: float  # of being a rectangle
-    support: FloatArray  # (4,), share of each side that is an edge in the left image
-
-    @property
-    def normal(self) -> FloatArray:
-        """Unit normal (3,) in c, towards the camera."""
-        return self.rotation[:, 2]
-
-    @property
-    def size_sigma(self) -> FloatArray:
-        """Standard deviation (2,) of width and height, m."""
-        return np.sqrt(np.diagonal(self.covariance)[6:])
+from rgslam.types import FloatArray, GreyImage, IntArray, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +61,11 @@ class Hypotheses:
 
 
 def detect_rectangles(
-    left: _GreyImage,
-    right: _GreyImage,
+    left: GreyImage,
+    right: GreyImage,
     camera: StereoCamera,
     config: Config | None = None,
-    valid: tuple[_Mask | None, _Mask | None] = (None, None),
+    valid: tuple[Mask | None, Mask | None] = (None, None),
 ) -> Detection:
     """Find the rectangles in a rectified pair (paper, section III, steps 1 to 5).
 
@@ -131,12 +92,12 @@ def detect_rectangles(
     found: tuple[DetectedRectangle, ...] = ()
     if len(seen.quads):
         found = _accept(seen.quads, seen.measured, seen.estimates, config, rejected)
-        found = _with_borders(found, (left, right), gradients, camera)
+        found = with_borders(found, (left, right), gradients, camera)
     return Detection(found, {why: n for why, n in rejected.items() if n}, seen.line_count)
 
 
 def measure_hypotheses(
-    images: tuple[_GreyImage, _GreyImage],
+    images: tuple[GreyImage, GreyImage],
     gradients: tuple[GradientImage, GradientImage],
     camera: StereoCamera,
     config: Config,
@@ -301,144 +262,7 @@ def _allowing_for(readings: Readings, best: int, others: IntArray) -> dict[str, 
     wider = widened(readings, best, others)
     rotation, size = readings.estimates.rotations[best], readings.estimates.sizes[best]
     pixels = wider.left_covariance, wider.right_covariance
-    return _covariances(rotation, size, wider.covariance, *pixels)
-
-
-def _covariances(
-    rotation: FloatArray,
-    size: FloatArray,
-    covariance: FloatArray,
-    left_covariance: FloatArray,
-    right_covariance: FloatArray,
-) -> dict[str, Any]:
-    slopes = corner_jacobians(rotation[None], size[None])[0]
-    return {
-        "covariance": covariance,
-        "corner_covariances": slopes @ covariance @ slopes.transpose(0, 2, 1),
-        "left_covariance": left_covariance,
-        "right_covariance": right_covariance,
-    }
-
-
-def _with_borders(
-    found: Sequence[DetectedRectangle],
-    images: tuple[_GreyImage, _GreyImage],
-    gradients: tuple[GradientImage, GradientImage],
-    camera: StereoCamera,
-) -> tuple[DetectedRectangle, ...]:
-    """The same things as far as their thin frames reach; unsure where another edge may end one."""
-    framed = [_with_frame(one, images, _outward_slopes(one, camera), camera) for one in found]
-    others = [
-        edges_beside(gradients, _both(one), camera.fx / float(one.translation[2]))
-        if frame is None
-        else []
-        for one, frame in zip(found, framed, strict=True)
-    ]
-    unsure = [k for k, beside in enumerate(others) if beside]
-    result = [frame or one for one, frame in zip(found, framed, strict=True)]
-    for k, readings in zip(
-        unsure,
-        _readings([found[k] for k in unsure], [others[k] for k in unsure], camera),
-        strict=True,
-    ):
-        result[k] = _unsure_of_sides(found[k], readings, others[k])
-    return tuple(result)
-
-
-def _both(found: DetectedRectangle) -> FloatArray:
-    """Corners (2, 4, 2) in either image."""
-    return np.array([found.left_px, found.right_px])
-
-
-def _readings(
-    found: Sequence[DetectedRectangle], others: Sequence[list[OtherEdge]], camera: StereoCamera
-) -> list[Readings]:
-    """Of each thing the reading as found, and those with another edge in place of a side."""
-    if not found:
-        return []
-    counts = [1 + len(beside) for beside in others]
-    corners = np.array(
-        [
-            pair
-            for one, beside in zip(found, others, strict=True)
-            for pair in [_both(one), *(np.array([o.left_px, o.right_px]) for o in beside)]
-        ]
-    ).reshape(-1, 2, 4, 2)
-    own = np.repeat([one.left_covariance for one in found], counts, axis=0)
-    own_right = np.repeat([one.right_covariance for one in found], counts, axis=0)
-    left, right = corners[:, 0], corners[:, 1]
-    fitted = fit_rectangles(
-        CornerMeasurements.of(left, own, right_px=right, right_covariance=own_right), camera
-    )
-    ends = np.cumsum(counts)
-    parts = [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
-    return [
-        Readings(
-            fitted.part(k), left[k], own[k], right[k], own_right[k],
-            # One border is as good as the other, but for how well both images agree on it
-            np.exp(-0.5 * np.clip(fitted.costs[k] - fitted.costs[k.start], -50.0, 50.0))
-            * fitted.converged[k],
-        )
-        for k in parts
-    ]  # fmt: skip
-
-
-def _unsure_of_sides(
-    found: DetectedRectangle, readings: Readings, others: Sequence[OtherEdge]
-) -> DetectedRectangle:
-    """The rectangle as unsure as the other edges beside its sides make it."""
-    if not readings.estimates.converged[0]:
-        return found
-    added = added_by_sides(readings, np.array([other.side for other in others]))
-    return replace(
-        found,
-        **_covariances(
-            found.rotation,
-            found.size,
-            found.covariance + added.covariance,
-            found.left_covariance + added.left_covariance,
-            found.right_covariance + added.right_covariance,
-        ),
-    )
-
-
-def _outward_slopes(found: DetectedRectangle, camera: StereoCamera) -> FloatArray:
-    """How far the corners move (2, 4, 2) in either image, px per metre that all sides move out."""
-    by_size = corner_jacobians(found.rotation[None], found.size[None])[0, :, :, 6:]
-    wider = found.corners + 2.0 * _WIDENING * by_size.sum(axis=2)
-    project = (camera.project, camera.project_right)
-    return np.array([(p(wider) - p(found.corners)) / _WIDENING for p in project])
-
-
-def _with_frame(
-    found: DetectedRectangle,
-    images: tuple[_GreyImage, _GreyImage],
-    slopes: FloatArray,
-    camera: StereoCamera,
-) -> DetectedRectangle | None:
-    """The same thing as far as its thin frame reaches, if it has one."""
-    border = outer_border(images, np.array([found.left_px, found.right_px]), slopes)
-    if border is None:
-        return None
-    left_covariance = found.left_covariance + border.covariances[0]
-    right_covariance = found.right_covariance + border.covariances[1]
-    measurements = CornerMeasurements.of(
-        border.corners[0][None],
-        left_covariance[None],
-        right_px=border.corners[1][None],
-        right_covariance=right_covariance[None],
-    )
-    fitted = fit_rectangles(measurements, camera)
-    if not fitted.converged[0] or fitted.costs[0] > LARGEST_COST:
-        return None
-    return replace(
-        found,
-        **estimated(fitted, 0),
-        left_px=border.corners[0],
-        left_covariance=left_covariance,
-        right_px=border.corners[1],
-        right_covariance=right_covariance,
-    )
+    return covariance_fields(rotation, size, wider.covariance, *pixels)
 
 
 def _rectangle(
@@ -457,30 +281,3 @@ def _rectangle(
         probability=float(probability[index]),
         support=quads.support[index],
     )
-
-
-def estimated(estimates: RectangleEstimates, index: int) -> dict[str, Any]:
-    """The fields of a `DetectedRectangle` that a fit gives, of rectangle `index`."""
-    one = RectangleEstimates(
-        *(getattr(estimates, name)[index : index + 1] for name in _ESTIMATE_FIELDS)
-    )
-    return {
-        "rotation": one.rotations[0],
-        "translation": one.translations[0],
-        "size": one.sizes[0],
-        "covariance": one.covariances[0],
-        "corners": one.corners[0],
-        "corner_covariances": one.corner_covariances[0],
-        "cost": float(one.costs[0]),
-    }
-
-
-_ESTIMATE_FIELDS = (
-    "rotations",
-    "translations",
-    "sizes",
-    "covariances",
-    "costs",
-    "degrees_of_freedom",
-    "converged",
-)

@@ -19,8 +19,8 @@ from numba import njit
 
 from rgslam.camera import PinholeCamera
 from rgslam.config import RectangleConfig
-from rgslam.rectangles.faint_lines import fit_faint, step_sigma
-from rgslam.rectangles.fourth_side import FLANK, LOOSE, SIGMAS, find_fourth_sides, mean_step
+from rgslam.rectangles.faint_lines import FLANK, fit_faint, step_sigma
+from rgslam.rectangles.fourth_side import LOOSE, SIGMAS, find_fourth_sides, mean_step
 from rgslam.rectangles.gradients import GradientImage
 from rgslam.rectangles.grouping import (
     EDGE,

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rgslam.rectangles.faint_lines import step_sigma
+from rgslam.rectangles.faint_lines import FLANK, step_sigma
 from rgslam.rectangles.grouping import EDGE, FAR_PX, NEAR_PX, share_seen
 from rgslam.types import FloatArray, IntArray
 
@@ -21,8 +21,6 @@ _LEAST = 0.5  # share of the side that is one
 _WINDOW = FAR_PX + NEAR_PX  # px around the end of an arm, in which the fourth side is sought
 #: Of the ends of sides, those that need not end at their corner.
 LOOSE = 1
-#: px to either side of a step, where its gradient has faded out.
-FLANK = 3
 _MOST = 4000  # places looked at closely
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from rgslam.camera import PinholeCamera
 from rgslam.label_placement import LabelPlacer
-from rgslam.rectangles.detection import DetectedRectangle
+from rgslam.rectangles.detected import DetectedRectangle
 from rgslam.rectangles.fitted_cuboid import FittedCuboid
 from rgslam.types import FloatArray
 

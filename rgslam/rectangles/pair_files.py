@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import uuid
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,9 +16,11 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from rgslam.config import Config
-from rgslam.errors import MapError, RecordingError
+from rgslam.errors import RecordingError
+from rgslam.map_folder import replace_file
 from rgslam.rectangles.cuboid_fusion import fuse_cuboids
-from rgslam.rectangles.detection import DetectedRectangle, Detection, detect_rectangles
+from rgslam.rectangles.detected import DetectedRectangle
+from rgslam.rectangles.detection import Detection, detect_rectangles
 from rgslam.rectangles.fitted_cuboid import SIDE_NAMES, FittedCuboid
 from rgslam.rectangles.overlay import draw_overlay
 from rgslam.rectangles.possible_faces import RectangleView
@@ -169,15 +170,6 @@ def write_pair_result(result: PairResult, folder: Path | str) -> tuple[Path, Pat
         OVERLAY_NAME: cv2.imencode(".png", overlay)[1].tobytes(),
     }
     target = Path(folder)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.items():
-            scratch = target / f".{name}.{uuid.uuid4().hex[:8]}"
-            try:
-                scratch.write_bytes(content)
-                scratch.replace(target / name)
-            finally:
-                scratch.unlink(missing_ok=True)
-    except OSError as error:
-        raise MapError(f"{folder}: cannot write: {error}") from error
+    for name, content in contents.items():
+        replace_file(target / name, content)
     return target / JSON_NAME, target / OVERLAY_NAME

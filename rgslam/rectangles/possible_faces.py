@@ -18,7 +18,7 @@ from rgslam.rectangles.cuboid_fit import (
     pose_slopes,
 )
 from rgslam.rectangles.cuboids import EDGE_RADIUS
-from rgslam.rectangles.detection import DetectedRectangle
+from rgslam.rectangles.detected import DetectedRectangle
 from rgslam.rectangles.fitted_cuboid import chi_square_at
 from rgslam.types import FloatArray, IntArray
 

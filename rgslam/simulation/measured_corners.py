@@ -14,7 +14,7 @@ from rgslam.camera import StereoCamera
 from rgslam.errors import WorldError
 from rgslam.geometry import planar_matrix
 from rgslam.observations import FrameObservations
-from rgslam.rectangles.detection import DetectedRectangle, estimated
+from rgslam.rectangles.detected import DetectedRectangle, estimated
 from rgslam.rectangles.maximum_likelihood import CornerMeasurements, fit_rectangles
 from rgslam.truth import Truth, TruthFrame
 from rgslam.types import FloatArray
