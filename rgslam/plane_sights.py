@@ -18,7 +18,7 @@ import numpy as np
 
 from rgslam.data_association import RectangleState
 from rgslam.factor_graph.joint_graph import spatial
-from rgslam.scan_hits import Hits, hits_of
+from rgslam.scan_hits import Hits, hits_of, split_passes
 from rgslam.types import FloatArray, IntArray, LaserScan
 
 #: m: the laser of a robot sits between these heights; it meets what reaches over both.
@@ -84,12 +84,9 @@ def _on_face(state: RectangleState, hits: Hits) -> tuple[FloatArray, FloatArray,
 
 def _best_of_passes(scans: IntArray) -> list[int]:
     """The keyframe of every pass that most beams are of."""
-    numbers, counts = np.unique(scans, return_counts=True)
-    if not len(numbers):
-        return []
-    passes = np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > _PASS_GAP) + 1)
-    best = [one[np.argmax(counts[one])] for one in passes]
-    return [int(numbers[i]) for i in best if counts[i] >= _FEWEST]
+    counts = np.bincount(scans)
+    best = [int(one[np.argmax(counts[one])]) for one in split_passes(scans, _PASS_GAP)]
+    return [number for number in best if counts[number] >= _FEWEST]
 
 
 def _seen_plane(x: FloatArray, z: FloatArray, width: float) -> tuple[gtsam.Pose3, FloatArray]:

@@ -17,8 +17,8 @@ import numpy as np
 
 from rgslam.gateways.scan_posts import refine_gateway
 from rgslam.geometry import between, inverse, transform_points
-from rgslam.scan_hits import Hits, hits_of
-from rgslam.types import FloatArray, Gateway, IntArray, LaserScan, LineSegment, Region
+from rgslam.scan_hits import hits_of, split_passes
+from rgslam.types import FloatArray, Gateway, LaserScan, Region
 
 #: Keyframes so far apart in number belong to different passes, and share no local map.
 _PASS_GAP = 13
@@ -70,9 +70,8 @@ def post_sights(
     for number, gateway in enumerate(gateways):
         near = hits.near(gateway.points[0], gateway.points[1], 1.0)
         seen = []
-        for numbers in _passes(np.unique(near.scans)):
-            mine = np.isin(near.scans, numbers)
-            one = Hits(near.points[mine], near.rays[mine], near.scans[mine])
+        for numbers in split_passes(near.scans, _PASS_GAP):
+            one = near.where(np.isin(near.scans, numbers))
             refined = refine_gateway(gateway, one, resolution, thickest)
             if (refined.covariance != gateway.covariance).any():  # else this pass shows too little
                 seen.append((int(numbers[len(numbers) // 2]), refined))
@@ -90,13 +89,6 @@ def _posts(number: int, keyframe: int, gateway: Gateway, keyframes: FloatArray) 
     return [
         PostSight(2 * number + i, keyframe, points[i], turn @ blocks[i] @ turn.T) for i in range(2)
     ]
-
-
-def _passes(numbers: IntArray) -> list[IntArray]:
-    """Keyframes split where the robot was elsewhere for a while."""
-    if not len(numbers):
-        return []
-    return np.split(numbers, np.flatnonzero(np.diff(numbers) > _PASS_GAP) + 1)
 
 
 def axis_sights(
@@ -133,12 +125,12 @@ def _axis_sight(
     hits = hits_of([scan], wTb[None])
     turns, weights = [], []
     for segment in region.line_segments:
-        along, across, length = _directions(segment)
+        along, length = segment.along, segment.length
         axis = region.main_axes[int(np.argmax(np.abs(region.main_axes @ along)))]
         if length < _SHORTEST or abs(axis @ along) < _ALONG:
             continue
         local = hits.points - segment.endpoints[0]
-        x, z = local @ along, local @ across
+        x, z = local @ along, local @ segment.across
         on = (np.abs(z) < _REACH) & (x > 0.0) & (x < length)
         if np.count_nonzero(on) < _FEWEST or np.ptp(x[on]) < _SHORTEST:
             continue
@@ -151,11 +143,3 @@ def _axis_sight(
     heading = np.arctan2(*region.main_axes[0, ::-1]) + np.average(turns, weights=weights)
     bTh = between(wTb, np.array([*region.polygon.mean(axis=0), heading]))
     return AxisSight(number, keyframe, bTh, float(np.sqrt(1.0 / np.sum(weights))))
-
-
-def _directions(segment: LineSegment) -> tuple[FloatArray, FloatArray, float]:
-    """Unit vectors along and across a segment, and its length."""
-    way = segment.endpoints[1] - segment.endpoints[0]
-    length = float(np.linalg.norm(way))
-    along = way / max(length, 1e-9)
-    return along, np.array([-along[1], along[0]]), length

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from rgslam.geometry import compose
-from rgslam.types import FloatArray, IntArray, LaserScan
+from rgslam.types import FloatArray, IntArray, LaserScan, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,11 @@ class Hits:
         order, x = self._by_x
         between = order[np.searchsorted(x, low[0]) : np.searchsorted(x, high[0], "right")]
         y = self.points[between, 1]
-        inside = np.sort(between[(y >= low[1]) & (y <= high[1])])
-        return Hits(self.points[inside], self.rays[inside], self.scans[inside])
+        return self.where(np.sort(between[(y >= low[1]) & (y <= high[1])]))
+
+    def where(self, chosen: Mask | IntArray) -> Hits:
+        """Those of a mask (n,), or with these places."""
+        return Hits(self.points[chosen], self.rays[chosen], self.scans[chosen])
 
 
 def hits_of(scans: Sequence[LaserScan], wTb: FloatArray) -> Hits:
@@ -51,3 +54,18 @@ def hits_of(scans: Sequence[LaserScan], wTb: FloatArray) -> Hits:
         rays.append(ray)
         numbers.append(np.full(len(ray), number))
     return Hits(np.concatenate(points), np.concatenate(rays), np.concatenate(numbers))
+
+
+def split_passes(scans: IntArray, gap: int) -> list[IntArray]:
+    """The scans that saw a place, split where the robot was elsewhere for a while.
+
+    Args:
+        scans: numbers of the scans, in any order, a number as often as one likes.
+        gap: numbers farther apart than this belong to different passes.
+
+    Returns:
+        Rising numbers of every pass, each once.
+    """
+    numbers = np.unique(scans)
+    passes = np.split(numbers, np.flatnonzero(np.diff(numbers) > gap) + 1)
+    return passes if len(numbers) else []

@@ -219,6 +219,22 @@ class LineSegment:
     endpoints: FloatArray  # (2, 2), w
     sigma: float  # m, standard deviation of the points across the line
 
+    @property
+    def length(self) -> float:
+        """Distance of its ends, m."""
+        return float(np.hypot(*(self.endpoints[1] - self.endpoints[0])))
+
+    @property
+    def along(self) -> FloatArray:
+        """Unit vector (2,) from the first end to the second, w."""
+        return np.asarray((self.endpoints[1] - self.endpoints[0]) / self.length)
+
+    @property
+    def across(self) -> FloatArray:
+        """Unit vector (2,) to its left, w."""
+        x, y = self.along
+        return np.array([-y, x])
+
 
 @dataclass(frozen=True, eq=False)
 class Region:

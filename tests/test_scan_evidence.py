@@ -22,7 +22,7 @@ from rgslam.cli import app
 from rgslam.config import Config
 from rgslam.errors import MapError
 from rgslam.regions import fit_to_scans
-from rgslam.scan_hits import Hits, hits_of
+from rgslam.scan_hits import Hits, hits_of, split_passes
 from rgslam.types import FloatArray, OccupancyGrid, Segmentation
 
 SIGMA = 0.01  # m, noise of a range
@@ -138,6 +138,16 @@ def test_hits_know_where_they_came_from() -> None:
     near = hits.near(np.array([4.0, 0.0]), np.array([4.0, 3.0]), 0.1)
     assert 0 < len(near.points) < 90
     assert (np.abs(near.points[:, 0] - 4.0) <= 0.1).all()
+    towards_the_wall = near.where(near.rays[:, 0] > 0.9)
+    assert 0 < len(towards_the_wall.points) < len(near.points)
+    assert (towards_the_wall.rays[:, 0] > 0.9).all()
+
+
+def test_a_pass_ends_where_the_robot_is_elsewhere_for_a_while() -> None:
+    scans = np.array([30, 3, 3, 1, 11, 31])
+    assert [p.tolist() for p in split_passes(scans, 10)] == [[1, 3, 11], [30, 31]]
+    assert [p.tolist() for p in split_passes(scans, 1)] == [[1], [3], [11], [30, 31]]
+    assert split_passes(np.zeros(0, np.int64), 10) == []
 
 
 # --- Predicted scan -------------------------------------------------------------------------------

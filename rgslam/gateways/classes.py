@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from math import erf, sqrt
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -77,9 +77,7 @@ def gateway_class(
         straight: whether two arms lie opposite each other.
         config: the width of a door.
     """
-    door = 0.0
-    if is_neck:
-        door = 0.5 * (1.0 + erf((2.0 * config.door_leaf - width) / (sqrt(2.0) * width_sigma)))
+    door = NormalDist(width, width_sigma).cdf(2.0 * config.door_leaf) if is_neck else 0.0
     if door >= 0.5:
         return GatewayClass.NARROW_PASSAGE, door
     junction = _junction(arms, straight)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rgslam.scan_hits import Hits
+from rgslam.scan_hits import Hits, split_passes
 from rgslam.types import FloatArray, Gateway, IntArray, LineSegment, Mask
 
 # How far from a post its wall is looked at: as wide as a frame and its trim, m.
@@ -188,12 +188,8 @@ def _median(values: FloatArray, scans: IntArray) -> _Place | None:
     middle = float(np.median(values))
     sigma = 1.4826 * float(np.median(np.abs(values - middle)))
     # The median of many values of one pass is as good as their pose: its error is what they share
-    return _Place(middle, max(sigma, 1e-3) ** 2 / count_passes(scans), sigma)
-
-
-def count_passes(scans: IntArray) -> int:
-    """How often the robot came by, from the numbers of the scans that saw a place."""
-    return 1 + int(np.count_nonzero(np.diff(np.unique(scans)) > _PASS_GAP))
+    passes = len(split_passes(scans, _PASS_GAP))
+    return _Place(middle, max(sigma, 1e-3) ** 2 / passes, sigma)
 
 
 # --- Posts that are corners of walls --------------------------------------------------------------
@@ -218,7 +214,8 @@ def refine_corners(
         seen = hits.near(gateway.points[k], gateway.points[k], _BESIDE)
         part = slice(2 * k, 2 * k + 2)
         points[k] = corner[0]
-        covariance[part, part] = corner[1] / count_passes(seen.scans)
+        passes = len(split_passes(seen.scans, _PASS_GAP))
+        covariance[part, part] = corner[1] / max(passes, 1)
     return _with_posts(gateway, points, covariance)
 
 
@@ -231,7 +228,7 @@ def _corner(
     for i, one in enumerate(near):
         for other in near[:i]:
             pair = (one, other)
-            normals = np.stack([_normal(line) for line in pair])
+            normals = np.stack([line.across for line in pair])
             if abs(np.linalg.det(normals)) < np.sin(_LEAST_TURN):
                 continue
             inverse = np.linalg.inv(normals)
@@ -249,8 +246,3 @@ def _gap(a: FloatArray, b: FloatArray) -> float:
 
 def _end_distance(line: LineSegment, point: FloatArray) -> float:
     return min(_gap(end, point) for end in line.endpoints)
-
-
-def _normal(line: LineSegment) -> FloatArray:
-    dx, dy = line.endpoints[1] - line.endpoints[0]
-    return np.array([-dy, dx]) / np.hypot(dx, dy)

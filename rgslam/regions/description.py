@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import erf, log
+from math import log
+from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -100,7 +101,7 @@ def region_class(
 
 def _below(width: float, limit: float) -> float:
     """Probability that a region is narrower than a limit."""
-    return 0.5 * (1.0 + erf(log(limit / width) / (np.sqrt(2.0) * _WIDTH_SIGMA)))
+    return NormalDist(log(width), _WIDTH_SIGMA).cdf(log(limit))
 
 
 def _boundary_chains(

@@ -31,6 +31,13 @@ class Island:
     length: float  # cells, longer side of its smallest rectangle, between the cells' centres
     depth: float  # cells, shorter side of the same
 
+    def is_furniture_size(self, resolution: float, regions: RegionConfig) -> bool:
+        """Whether furniture is as long and as deep; `resolution` in m per cell."""
+        return (
+            self.length * resolution <= regions.largest_furniture
+            and self.depth * resolution <= regions.deepest_furniture
+        )
+
 
 def find_islands(free: BoolArray) -> tuple[LabelArray, list[Island]]:
     """What is not free in pieces (H, W), 0 = free, and those of them that stand alone."""
@@ -68,8 +75,8 @@ def fill_islands(
         for island in islands
         if max(island.box[2:]) * resolution <= regions.largest_object
         or (
-            island.length * resolution <= regions.largest_furniture
-            and thickest < island.depth * resolution <= regions.deepest_furniture
+            island.is_furniture_size(resolution, regions)
+            and island.depth * resolution > thickest
             # A cell more for the cells' own size, another for the raster
             and island.cells >= _COMPACT * (island.length + 1.0) * (island.depth + 1.0)
         )
@@ -91,10 +98,7 @@ def islands_in_regions(
     found = labels.copy()
     pieces, islands = find_islands(free)
     for island in islands:
-        if (
-            island.length * resolution > regions.largest_furniture
-            or island.depth * resolution > regions.deepest_furniture
-        ):
+        if not island.is_furniture_size(resolution, regions):
             continue
         x, y, w, h = island.box  # an island never touches the margin
         part = np.s_[y - 1 : y + h + 1, x - 1 : x + w + 1]

@@ -75,9 +75,7 @@ def refit_region(region: Region, hits: Hits, resolution: float) -> Region:
 def _refit(line: LineSegment, hits: Hits, strip: float) -> tuple[LineSegment, int]:
     """A line fitted to the points before it, and their number; as it was when there are too few."""
     a, b = line.endpoints
-    length = float(np.linalg.norm(b - a))
-    along = (b - a) / length
-    inward = np.array([-along[1], along[0]])
+    length, along, inward = line.length, line.along, line.across
     t, d, seen, near = _along_and_across(hits.near(a, b, strip), a, along, inward)
     chosen = (np.abs(d) <= strip) & (t >= 0.0) & (t <= length) & seen
     if len(np.unique(near.scans[chosen])) < _LEAST_SCANS:

@@ -74,7 +74,7 @@ def segment_grid(
         raise MapError(f"the grid has {grid.resolution} m per cell, not {resolution}")
     if grid.occupancy.ndim != 2:
         raise MapError(f"an occupancy grid has two dimensions, not {grid.occupancy.ndim}")
-    whole, grid, corner = grid, *_cropped(grid)
+    full, grid, corner = grid, *_cropped(grid)
     # Comparisons with NaN (unknown) are false: unknown is neither free nor wall.
     free = np.asarray(grid.occupancy < _FREE_BELOW, bool)
     is_wall = np.asarray(grid.occupancy >= _FREE_BELOW, bool)
@@ -87,14 +87,16 @@ def segment_grid(
         )
     if partition.count > np.iinfo(np.uint16).max:
         raise MapError(f"{partition.count} regions are more than the label image can hold")
+    # How wide a room is, not what is left of it between the cabinets
+    whole = np.where(furniture > 0, furniture, partition.labels)
     gateways = _gateways(partition, grid)
-    regions = _regions(partition, furniture, gateways, free, is_wall, grid, config)
+    regions = _regions(partition, whole, gateways, free, is_wall, grid, config)
     classified = _classified(gateways, regions, partition, grid, config)
     warnings = () if regions else ("no free space is large enough for a region",)
-    labels = np.zeros(whole.occupancy.shape, np.uint16)
+    labels = np.zeros(full.occupancy.shape, np.uint16)
     height, width = partition.labels.shape
     part = np.s_[corner[0] : corner[0] + height, corner[1] : corner[1] + width]
-    labels[part] = np.where(furniture > 0, furniture, partition.labels)
+    labels[part] = whole
     return Segmentation(labels, regions, classified, warnings)
 
 
@@ -149,15 +151,13 @@ def _gateways(partition: Partition, grid: OccupancyGrid) -> list[Gateway]:
 
 def _regions(
     partition: Partition,
-    furniture: npt.NDArray[np.int32],
+    whole: npt.NDArray[np.int32],
     gateways: list[Gateway],
     free: BoolArray,
     is_wall: BoolArray,
     grid: OccupancyGrid,
     config: Config,
 ) -> tuple[Region, ...]:
-    # How wide a room is, not what is left of it between the cabinets
-    whole = np.where(furniture > 0, furniture, partition.labels)
     clearances = inner_clearances(whole, partition.count, grid.resolution)
     regions = []
     for i, box in enumerate(region_boxes(partition.labels, partition.count)):
@@ -166,7 +166,7 @@ def _regions(
         part = np.s_[r0 : box[2] + 2, c0 : box[3] + 2]
         inside = partition.labels[part] == i + 1
         view = RegionView(
-            inside, is_wall[part], inside & ~free[part], furniture[part] == i + 1,
+            inside, is_wall[part], inside & ~free[part], (whole[part] == i + 1) & ~inside,
             np.array([r0, c0]), grid.resolution, grid.origin,
         )  # fmt: skip
         own = [g for g in gateways if i + 1 in g.regions]

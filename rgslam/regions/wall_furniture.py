@@ -65,8 +65,11 @@ def _hidden(
     inside: BoolArray, taken: BoolArray, is_wall: BoolArray, resolution: float, config: RegionConfig
 ) -> BoolArray:
     """The same for one region, in its part of the grid."""
-    there, back = _turn_to_walls(inside)
-    mask, occupied, others = (_turned(image, there) for image in (inside, is_wall & ~inside, taken))
+    there, size = _turn_to_walls(inside)
+    mask, occupied, others = (
+        cv2.warpAffine(image.astype(np.uint8), there, size, flags=cv2.INTER_NEAREST) > 0
+        for image in (inside, is_wall & ~inside, taken)
+    )
     # Single beams through a door's gap reach past a wall; the walls are where the bulk ends
     width = 2 * int(np.ceil(2.0 * _WALL_NOISE / resolution)) + 1
     bulk = cv2.morphologyEx(
@@ -93,9 +96,11 @@ def _hidden(
         & (of_others <= _OF_OTHERS * stats[:, 4])
     )
     good[0] = False
-    size = inside.shape[1], inside.shape[0]
-    turned = cv2.warpAffine(good[pieces].astype(np.uint8), back, size, flags=cv2.INTER_NEAREST)
-    return np.asarray((turned > 0) & ~inside & ~taken, bool)
+    back = cv2.warpAffine(
+        good[pieces].astype(np.uint8), there, inside.shape[::-1],
+        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+    )  # fmt: skip
+    return np.asarray((back > 0) & ~inside & ~taken, bool)
 
 
 def _enclosed(mask: BoolArray) -> BoolArray:
@@ -107,10 +112,10 @@ def _enclosed(mask: BoolArray) -> BoolArray:
     return np.asarray(~mask & (up | down) & (left | right), bool)
 
 
-def _turn_to_walls(inside: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Affine maps (2, 3) of cells x, y into an image whose rows run along the main axis, and back.
+def _turn_to_walls(inside: BoolArray) -> tuple[FloatArray, tuple[int, int]]:
+    """Affine map (2, 3) of cells x, y into an image whose rows run along the main axis; its size.
 
-    The second maps as `cv2.warpAffine` takes it: from the turned image to the part of the grid.
+    The size is (columns, rows), as OpenCV takes it.
     """
     rings = trace_outlines(inside, 1.5).polygons()
     edges = np.concatenate([np.stack([p, np.roll(p, -1, axis=0)], axis=1) for p in rings])
@@ -126,13 +131,5 @@ def _turn_to_walls(inside: BoolArray) -> tuple[FloatArray, FloatArray]:
     rotation = np.array([[c, s], [-s, c]])
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], float) @ rotation.T
     low = np.floor(corners.min(axis=0))
-    there = np.concatenate([rotation, -low[:, None]], axis=1)
-    return there, cv2.invertAffineTransform(there)
-
-
-def _turned(image: BoolArray, there: FloatArray) -> BoolArray:
-    height, width = image.shape
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], float)
-    extent = np.ceil((corners @ there[:, :2].T + there[:, 2]).max(axis=0)).astype(int) + 1
-    turned = cv2.warpAffine(image.astype(np.uint8), there, extent.tolist(), flags=cv2.INTER_NEAREST)
-    return turned > 0
+    columns, rows = np.ceil(corners.max(axis=0) - low).astype(int).tolist()
+    return np.concatenate([rotation, -low[:, None]], axis=1), (columns + 1, rows + 1)
