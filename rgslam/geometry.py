@@ -72,11 +72,15 @@ def _between_one(
     return np.array([c * dx + s * dy, c * dy - s * dx, _wrap_one(btheta - atheta)])
 
 
+def rotation(theta: float) -> FloatArray:
+    """Rotation matrix (2, 2) that turns vectors of the plane by an angle."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.array([[c, -s], [s, c]])
+
+
 def transform_points(aTb: FloatArray, b_points: FloatArray) -> FloatArray:
     """Points (n, 2) of frame b expressed in frame a."""
-    c, s = np.cos(aTb[2]), np.sin(aTb[2])
-    rotation = np.array([[c, -s], [s, c]])
-    return np.asarray(b_points) @ rotation.T + np.asarray(aTb[:2])
+    return np.asarray(b_points) @ rotation(aTb[2]).T + np.asarray(aTb[:2])
 
 
 def interpolate(wTa: FloatArray, wTb: FloatArray, fraction: FloatArray | float) -> FloatArray:
@@ -109,8 +113,7 @@ def adjoints(aTb: FloatArray) -> FloatArray:
 
 def planar_matrix(wTb: FloatArray) -> FloatArray:
     """A planar pose (3,) as a matrix (4, 4)."""
-    c, s = np.cos(wTb[2]), np.sin(wTb[2])
     matrix = np.eye(4)
-    matrix[:2, :2] = [[c, -s], [s, c]]
+    matrix[:2, :2] = rotation(wTb[2])
     matrix[:2, 3] = wTb[:2]
     return matrix

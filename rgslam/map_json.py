@@ -69,10 +69,7 @@ def encode_rg_map(
         "rectangles": [_rectangle_to_json(rectangle) for rectangle in rectangles],
         "cuboids": [_cuboid_to_json(cuboid) for cuboid in cuboids],
     }
-    try:
-        return (_layout(document, "") + "\n").encode("utf-8")
-    except ValueError as error:  # json.dumps(allow_nan=False)
-        raise MapError(f"map: a value for rgmap.json is not a finite number: {error}") from error
+    return _encoded(document, "map")
 
 
 def decode_rg_map(text: bytes, name: str) -> dict[str, Any]:
@@ -120,10 +117,7 @@ def encode_region_document(
         "gateways": [_gateway_to_json(gateway, _OWN_FRAME_DECIMALS) for gateway in gateways],
         "rectangles": [_rectangle_to_json(rectangle) for rectangle in rectangles],
     }
-    try:
-        return (_layout(document, "") + "\n").encode("utf-8")
-    except ValueError as error:  # json.dumps(allow_nan=False)
-        raise MapError(f"region {region.id}: a value is not a finite number: {error}") from error
+    return _encoded(document, f"region {region.id}")
 
 
 def decode_region_document(
@@ -170,6 +164,13 @@ def check_references(regions: Sequence[Region], gateways: Sequence[Gateway], nam
 
 
 # --- Writing --------------------------------------------------------------------------------------
+
+
+def _encoded(document: dict[str, Any], name: str) -> bytes:
+    try:
+        return (_layout(document, "") + "\n").encode("utf-8")
+    except ValueError as error:  # json.dumps(allow_nan=False)
+        raise MapError(f"{name}: a value is not a finite number: {error}") from error
 
 
 def _region_to_json(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rgslam.gateways.scan_posts import refine_gateway
-from rgslam.geometry import between, inverse, transform_points
+from rgslam.geometry import between, inverse, rotation, transform_points
 from rgslam.scan_hits import hits_of, split_passes
 from rgslam.types import FloatArray, Gateway, LaserScan, Region
 
@@ -82,8 +82,7 @@ def post_sights(
 
 def _posts(number: int, keyframe: int, gateway: Gateway, keyframes: FloatArray) -> list[PostSight]:
     bTw = inverse(keyframes[keyframe])
-    c, s = np.cos(bTw[2]), np.sin(bTw[2])
-    turn = np.array([[c, -s], [s, c]])
+    turn = rotation(bTw[2])
     points = transform_points(bTw, gateway.points)
     blocks = [gateway.covariance[i : i + 2, i : i + 2] for i in (0, 2)]
     return [

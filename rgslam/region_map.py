@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from rgslam.errors import MapError
-from rgslam.geometry import compose, inverse, planar_matrix, transform_points
+from rgslam.geometry import compose, inverse, planar_matrix, rotation, transform_points
 from rgslam.map_folder import replace_file
 from rgslam.map_json import decode_region_document, encode_region_document
 from rgslam.types import FloatArray, Gateway, LineSegment, Rectangle, Region
@@ -140,6 +140,5 @@ def _moved_rectangle(rectangle: Rectangle, aTb: FloatArray) -> Rectangle:
 
 def _turned(covariance: FloatArray, angle: float, count: int) -> FloatArray:
     """Covariance of `count` points of the plane, turned with them."""
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.kron(np.eye(count), np.array([[c, -s], [s, c]]))
+    turn = np.kron(np.eye(count), rotation(angle))
     return np.asarray(turn @ covariance @ turn.T)

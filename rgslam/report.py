@@ -28,7 +28,6 @@ from rgslam.report_plots import (
     Figure,
     map_figure,
     sigma_figure,
-    width_sigma,
 )
 from rgslam.types import EdgeKind
 
@@ -177,7 +176,7 @@ def _gateway_section(rg_map: RGMap) -> str:
             gateway_name(gateway),
             class_name(gateway.label),
             " – ".join(f"R{region}" for region in gateway.regions),
-            f"{100 * gateway.width:.1f} ± {100 * width_sigma(gateway):.1f}",
+            f"{100 * gateway.width:.1f} ± {100 * gateway.width_sigma:.1f}",
             str(len(gateway.crossings)),
         ]
         for gateway in rg_map.gateways

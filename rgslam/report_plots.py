@@ -174,20 +174,10 @@ def gateway_hover(gateway: Gateway) -> str:
         [
             f"<b>{gateway_name(gateway)}</b> {class_name(gateway.label)}",
             f"R{a} – R{b}",
-            f"width {100 * gateway.width:.1f} ± {100 * width_sigma(gateway):.1f} cm (1 σ)",
+            f"width {100 * gateway.width:.1f} ± {100 * gateway.width_sigma:.1f} cm (1 σ)",
             f"crossings {len(gateway.crossings)}",
         ]
     )
-
-
-def width_sigma(gateway: Gateway) -> float:
-    """Standard deviation of a gateway's width from the covariance of its posts, m."""
-    along = gateway.points[1] - gateway.points[0]
-    length = float(np.linalg.norm(along))
-    if length == 0.0:
-        return float("nan")
-    jacobian = np.concatenate([-along, along]) / length
-    return float(np.sqrt(max(0.0, float(jacobian @ gateway.covariance @ jacobian))))
 
 
 def _label_traces(rg_map: RGMap) -> list[Figure]:

@@ -206,10 +206,14 @@ class Gateway:
 
     @property
     def width_sigma(self) -> float:
-        """Standard deviation of the width, m."""
-        along = (self.points[1] - self.points[0]) / self.width
-        jacobian = np.concatenate([-along, along])
-        return float(np.sqrt(jacobian @ self.covariance @ jacobian))
+        """Standard deviation of the width, m; nan where both posts are one point."""
+        along = self.points[1] - self.points[0]
+        length = float(np.linalg.norm(along))
+        if length == 0.0:
+            return float("nan")
+        jacobian = np.concatenate([-along, along]) / length
+        # A covariance that was rounded in a file may fall a little below zero.
+        return float(np.sqrt(max(0.0, float(jacobian @ self.covariance @ jacobian))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,6 @@ from rgslam.report_plots import (
     ellipse_factor,
     map_figure,
     sigma_figure,
-    width_sigma,
 )
 from rgslam.rg_map import RGMap
 from rgslam.types import Cuboid
@@ -144,16 +143,6 @@ def test_loops_are_counted_by_verdict_and_reason(page: str, rg_map: RGMap) -> No
         text = text_of(render_report(dataclasses.replace(rg_map, run=run)))
         expected = "0 accepted, 1 rejected" if "loops" in odd and odd["loops"] != 5 else "kept no"
         assert expected in text
-
-
-def test_sigma_of_a_width_comes_from_the_posts(rg_map: RGMap) -> None:
-    gateway = rg_map.gateways[0]
-    assert width_sigma(gateway) == pytest.approx(np.sqrt(8e-4))
-    # Posts that move together leave the width as it is.
-    together = np.tile(np.diag([4e-4, 1e-4]), (2, 2))
-    assert width_sigma(dataclasses.replace(gateway, covariance=together)) == pytest.approx(0.0)
-    turned = dataclasses.replace(gateway, points=gateway.points[:, ::-1])
-    assert width_sigma(turned) == pytest.approx(np.sqrt(2e-4))
 
 
 # --- Plots ----------------------------------------------------------------------------------------

@@ -88,6 +88,17 @@ def test_graph_keeps_two_doors_between_the_same_rooms(rg_map: RGMap) -> None:
     assert doubled.graph().number_of_edges(1, 2) == 2
 
 
+def test_sigma_of_a_width_comes_from_the_posts(rg_map: RGMap) -> None:
+    gateway = rg_map.gateways[0]
+    assert gateway.width_sigma == pytest.approx(np.sqrt(8e-4))
+    # Posts that move together leave the width as it is.
+    together = np.tile(np.diag([4e-4, 1e-4]), (2, 2))
+    assert dataclasses.replace(gateway, covariance=together).width_sigma == pytest.approx(0.0)
+    turned = dataclasses.replace(gateway, points=gateway.points[:, ::-1])
+    assert turned.width_sigma == pytest.approx(np.sqrt(2e-4))
+    assert np.isnan(dataclasses.replace(gateway, points=np.zeros((2, 2))).width_sigma)
+
+
 # --- Save and load --------------------------------------------------------------------------------
 
 
