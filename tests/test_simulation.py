@@ -18,6 +18,7 @@ from rgslam.geometry import between, compose, wrap_angle
 from rgslam.loaders import Recording
 from rgslam.simulation import BUILT_IN_WORLDS, Drive, World, drive, simulate, write_run
 from rgslam.simulation.building import build_solids, footprint, true_gateways, true_regions
+from rgslam.simulation.large_buildings import four_loops
 from rgslam.simulation.recording import SimulatedRecording
 from rgslam.simulation.robot import OdometrySensor, Route
 from rgslam.simulation.sensors import read_wheels
@@ -485,3 +486,35 @@ def test_a_route_that_cannot_be_followed_ends() -> None:
     )
     with pytest.raises(WorldError, match="stuck"):
         drive(circling)
+
+
+# --- Large buildings ------------------------------------------------------------------------------
+
+
+def test_large_buildings_are_as_large_as_they_say() -> None:
+    for name, extent, way in (
+        ("infinite_corridor", (250, 215), 1900),
+        ("four_loops", (56, 56), 700),
+    ):
+        world = World.find(name)
+        points = np.array([way_point.at for way_point in world.route.way_points])
+        np.testing.assert_allclose(np.ptp(points, axis=0), extent)
+        assert np.hypot(*np.diff(points, axis=0).T).sum() > way
+        walls = [shapely.LineString(wall.points) for wall in world.walls]
+        route = shapely.LineString(points)
+        assert route.distance(shapely.MultiLineString(walls)) > world.route.robot_radius + 0.3
+
+
+def test_a_seed_moves_doors_and_bins_and_no_hallway() -> None:
+    one, same, other = four_loops(1), four_loops(1), four_loops(2)
+    assert one == same
+    assert one.furniture != other.furniture
+    assert one.route == other.route
+
+
+def test_a_run_through_a_large_building_sees_down_its_hallways() -> None:
+    run = simulate(four_loops(1), seed=1, duration=10.0)
+    ranges = np.array([m.ranges for m in run.messages() if isinstance(m, LaserScan)])
+    assert ranges.shape == (36, 180)
+    assert np.isinf(ranges).any()  # through glass
+    assert 20.0 < ranges[np.isfinite(ranges)].max() < 80.0

@@ -157,6 +157,9 @@ def slam_experiment(
     ablations: Annotated[
         bool, typer.Option("--ablations", help="Map every log made worse in six ways too.")
     ] = False,
+    large: Annotated[
+        bool, typer.Option("--large", help="Simulate large buildings of look-alike hallways too.")
+    ] = False,
     plot: Annotated[
         Path | None, typer.Option("--plot", help="Folder for pictures of the error over time.")
     ] = None,
@@ -173,8 +176,10 @@ def slam_experiment(
     from rgslam.experiments.slam import run_slam
     from rgslam.experiments.tables import print_slam
 
-    if folder is None and not seeds:
-        raise typer.BadParameter("name a FOLDER of logs, or ask for --seeds of simulated runs")
+    if folder is None and not seeds and not large:
+        raise typer.BadParameter(
+            "name a FOLDER of logs, or ask for --seeds of simulated runs or --large ones"
+        )
     with StageProgress() as progress:
         result = run_slam(
             folder, seeds, ablations=tuple(ABLATIONS) if ablations else (), plot=plot,

@@ -25,14 +25,15 @@ from rgslam.metrics import keyframe_errors, kuemmerle, nees, read_relations, tra
 from rgslam.metrics.relations import RelationErrors, Relations
 from rgslam.pipeline import MessageSource, build_map
 from rgslam.rg_map import RGMap
-from rgslam.simulation import World, simulate
+from rgslam.simulation import LARGE_BUILDINGS, World, simulate
 from rgslam.truth import Truth
 from rgslam.types import EdgeKind, ProgressCallback
 
 #: File names of CARMEN logs, plain or compressed.
 _LOGS = ("*.clf", "*.log", "*.clf.*", "*.log.*")
-#: m by which a loop must be off to be a wrong one: another door, another pillar.
-_WRONG_LOOP = 0.5
+#: m by which a loop must be off to be a wrong one: another door, another pillar; and chi-square of
+#: three degrees of freedom, 99 %.
+_WRONG_LOOP, _CHI2_3_99 = 0.5, 11.34
 #: Seeds of simulated runs start here.
 _FIRST_SEED = 1
 
@@ -91,6 +92,8 @@ class SimulatedRow:
     inside: float  # share of keyframes inside their 95 % region
     loops: int
     wrong_loops: int
+    scans: int
+    seconds: float  # wall time of the mapping
 
 
 @dataclass(frozen=True)
@@ -118,17 +121,19 @@ def run_slam(
     plot: Path | None = None,
     config: Config | None = None,
     progress: ProgressCallback | None = None,
+    large: bool = False,
 ) -> SlamResult:
     """Map all logs of a folder and of the folders in it, and simulated runs.
 
     Args:
         folder: with CARMEN logs, and `NAME.relations` beside those that have known relations.
         seeds: simulated runs per world.
-        worlds: built-in worlds to drive through.
+        worlds: worlds to drive through, by name.
         ablations: names out of `ABLATIONS`, each another run of every log with relations.
         plot: folder for the error over time of every log with relations, as PNG.
         config: of the mapper; None for the default.
         progress: called as the runs go on.
+        large: one simulated run through each large building with look-alike hallways too.
 
     Raises:
         EvaluationError: no log in the folder, or an ablation that does not exist.
@@ -143,11 +148,9 @@ def run_slam(
         for path in logs
         for row in _log_rows(path, ablations, plot, config or Config(), progress)
     ]
-    simulated = [
-        _simulated_row(world, seed, config or Config(), progress)
-        for world in worlds
-        for seed in range(_FIRST_SEED, _FIRST_SEED + seeds)
-    ]
+    runs = [(w, seed) for w in worlds for seed in range(_FIRST_SEED, _FIRST_SEED + seeds)]
+    runs += [(name, _FIRST_SEED) for name in LARGE_BUILDINGS if large]
+    simulated = [_simulated_row(*run, config or Config(), progress) for run in runs]
     return SlamResult(tuple(rows), tuple(simulated))
 
 
@@ -215,8 +218,10 @@ def _map_log(
 def _simulated_row(
     world: str, seed: int, config: Config, progress: ProgressCallback | None
 ) -> SimulatedRow:
-    run = simulate(World.built_in(world), seed=seed, progress=progress, stereo=False)
+    run = simulate(World.find(world), seed=seed, progress=progress, stereo=False)
+    started = time.perf_counter()
     found = build_map(run, config, progress)
+    seconds = time.perf_counter() - started
     consistency = nees(*keyframe_errors(found.keyframes, run.truth.trajectory))
     return SimulatedRow(
         world=world,
@@ -226,18 +231,26 @@ def _simulated_row(
         inside=consistency.inside,
         loops=found.run.counts["loops_accepted"],
         wrong_loops=wrong_loops(found, run.truth),
+        scans=len(found.trajectory.stamps),
+        seconds=seconds,
     )
 
 
 def wrong_loops(found: RGMap, truth: Truth) -> int:
-    """Loops of a map of a simulated run, scan for scan, that tie places that are not the same."""
+    """Loops of a map of a simulated run, scan for scan, that tie places that are not the same.
+
+    A loop in a bare hallway leaves the way along it open, and says so: that is not wrong.
+    """
     loops = [edge for edge in found.edges if edge.kind is EdgeKind.LOOP]
     if not loops:
         return 0
     true = truth.trajectory.wTb[found.keyframes.scan_indices]
     i, j = np.array([(edge.i, edge.j) for edge in loops]).T
     errors = between(np.array([edge.iTj for edge in loops]), between(true[i], true[j]))
-    return int(np.count_nonzero(np.hypot(errors[:, 0], errors[:, 1]) > _WRONG_LOOP))
+    covariances = np.array([edge.covariance for edge in loops])
+    off = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+    far = np.hypot(errors[:, 0], errors[:, 1]) > _WRONG_LOOP
+    return int(np.count_nonzero(far & (off > _CHI2_3_99)))
 
 
 def _plot_errors(folder: Path, title: str, relations: Relations, errors: RelationErrors) -> None:

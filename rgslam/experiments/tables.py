@@ -285,7 +285,7 @@ def print_slam(result: SlamResult, console: Console | None = None) -> None:
         _print(
             console,
             "Simulated runs",
-            ["world", "seed", "ATE cm", "NEES", "in 95 % %", "loops", "wrong loops"],
+            ["world", "seed", "ATE cm", "NEES", "in 95 % %", "loops", "wrong loops", "scans", "s"],
             [
                 [
                     row.world,
@@ -295,6 +295,8 @@ def print_slam(result: SlamResult, console: Console | None = None) -> None:
                     f"{100 * row.inside:.0f}",
                     str(row.loops),
                     str(row.wrong_loops),
+                    str(row.scans),
+                    f"{row.seconds:.1f}",
                 ]
                 for row in result.simulated
             ],

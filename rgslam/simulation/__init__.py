@@ -6,12 +6,14 @@
 """
 
 from rgslam.simulation.driving import Drive, drive
+from rgslam.simulation.large_buildings import LARGE_BUILDINGS
 from rgslam.simulation.recording import SimulatedRecording, simulate
 from rgslam.simulation.world import BUILT_IN_WORLDS, World
 from rgslam.simulation.writing import write_run
 
 __all__ = [
     "BUILT_IN_WORLDS",
+    "LARGE_BUILDINGS",
     "Drive",
     "SimulatedRecording",
     "World",

@@ -204,6 +204,9 @@ def _check_clearance(world: World, motion: Drive, solid: object) -> None:
     import shapely
 
     centres = shapely.points(motion.wTb[:, :2])
+    shapely.prepare(solid)
+    if not shapely.dwithin(solid, centres, world.route.robot_radius).any():
+        return
     distance = shapely.distance(centres, solid)
     nearest = int(np.argmin(distance))
     if distance[nearest] < world.route.robot_radius:

@@ -206,16 +206,20 @@ class World(Part):
 
     @classmethod
     def find(cls, name_or_path: Path | str) -> World:
-        """A built-in world by its name, or the world of a file.
+        """A built-in world or a large building by its name, or the world of a file.
 
         Raises:
             WorldError: neither, or as `from_yaml`.
         """
         if str(name_or_path) in BUILT_IN_WORLDS:
             return cls.built_in(str(name_or_path))
+        from rgslam.simulation.large_buildings import LARGE_BUILDINGS  # made of worlds themselves
+
+        if str(name_or_path) in LARGE_BUILDINGS:
+            return LARGE_BUILDINGS[str(name_or_path)]()
         path = Path(name_or_path)
         if not path.suffix and not path.exists():
-            known = ", ".join(BUILT_IN_WORLDS)
+            known = ", ".join((*BUILT_IN_WORLDS, *LARGE_BUILDINGS))
             raise WorldError(f"{name_or_path}: no such file, and no built-in world ({known})")
         return cls.from_yaml(path)
 
