@@ -14,6 +14,7 @@ import numpy as np
 from rgslam.config import ScanMatchingConfig
 from rgslam.geometry import between, compose
 from rgslam.scan_matching import (
+    SURFACE,
     BeamCorrelation,
     Registration,
     ScanPoints,
@@ -215,7 +216,7 @@ class LocalMap:
         way = float(np.hypot(motion.bTc[0], motion.bTc[1]))
         return correlate(
             self._known(),
-            thinned(scan.valid, 2.0 * cell),
+            thinned(scan.points[scan.classes >= SURFACE], 2.0 * cell),
             prediction,
             half_width=max(3.0 * sigma_xy, 2.0 * way) + cell,
             half_angle=3.0 * sigma_theta,

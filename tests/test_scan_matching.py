@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from rgslam.errors import RecordingError
 from rgslam.geometry import between, compose, transform_points
 from rgslam.scan_matching import (
+    EDGE,
     INVALID,
+    POINT,
     SURFACE,
     LaserGeometry,
     ScanPoints,
@@ -113,6 +115,34 @@ def test_odd_beams_are_an_error(angles: list[float], message: str) -> None:
     scan = LaserScan(0.0, ranges, np.array(angles), 30.0, np.zeros(3), record=7)
     with pytest.raises(RecordingError, match=f"record 7.*{message}"):
         LaserGeometry.from_scan(scan)
+
+
+def test_a_far_corner_between_wide_beams_is_no_edge() -> None:
+    """At 20 m beams of one degree are 0.35 m apart: the corner is somewhere between two of them."""
+    near, far = (
+        scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
+        for scan in (
+            square_room_scan(np.zeros(3), size, n_beams=181) for size in ((6.0, 6.0), (40.0, 40.0))
+        )
+    )
+    assert (near.classes == EDGE).any()
+    assert (far.classes == SURFACE).any()
+    assert not (far.classes == EDGE).any()
+
+
+def test_a_lost_beam_makes_no_thin_thing_of_a_wall_that_beams_graze() -> None:
+    angles = np.radians(np.arange(-90.0, 91.0))
+    with np.errstate(divide="ignore"):
+        ranges = np.minimum(1.0 / np.abs(np.sin(angles)), 12.0)  # a hallway, 2 m wide
+    geometry = LaserGeometry(float(angles[0]), float(angles[1] - angles[0]), 181, np.zeros(3))
+    whole = scan_points(ranges, geometry, NOISE).classes
+    lost = ranges.copy()
+    lost[[75, 79, 101, 105]] = np.inf  # at 4 to 6 m
+    assert not (scan_points(lost, geometry, NOISE).classes[whole == POINT] == EDGE).any()
+    # What stands before nothing at all is seen
+    pole = np.full(181, np.inf)
+    pole[90] = 3.0
+    assert scan_points(pole, geometry, NOISE).classes[90] == EDGE
 
 
 def test_thinned_keeps_one_point_per_cell() -> None:

@@ -111,6 +111,10 @@ def scan_points(
 _NEIGHBOURS, _SUPPORT = 25, 0.25
 
 
+#: Beams in a row that may be lost where there is something: dark, wet or shiny spots.
+_LOST = 2
+
+
 @njit(cache=True, nogil=True)
 def _stands_out(ranges: FloatArray, i: int, hits: int, full_circle: bool) -> bool:
     """Whether the few beams around i hit a thin thing: what lies on both sides is farther away.
@@ -119,12 +123,17 @@ def _stands_out(ranges: FloatArray, i: int, hits: int, full_circle: bool) -> boo
     """
     n = len(ranges)
     for side in (-1, 1):
-        j = i + side * hits
-        if full_circle:
-            j %= n
-        elif j < 0 or j >= n:
-            return False
-        if not ranges[j] > ranges[i]:  # an invalid reading tells nothing
+        behind = np.nan
+        for beyond in range(hits, hits + _LOST + 1):
+            j = i + side * beyond
+            if full_circle:
+                j %= n
+            elif j < 0 or j >= n:
+                return False
+            behind = ranges[j]
+            if not np.isinf(behind):
+                break
+        if not behind > ranges[i]:  # an invalid reading tells nothing
             return False
     return True
 
@@ -170,8 +179,11 @@ def _points_and_normals(
                 sxx += dx * dx
                 sxy += dx * dy
                 syy += dy * dy
+        # Where beams lie farther apart than that, an edge is somewhere between two of them, and
+        # what one of them hits moves along with the robot
+        located = ranges[i] * step < _SUPPORT
         if count < 2:
-            if _stands_out(ranges, i, 1 + count, full_circle):
+            if located and _stands_out(ranges, i, 1 + count, full_circle):
                 classes[i] = 3
             continue
         m = count + 1.0
@@ -181,7 +193,8 @@ def _points_and_normals(
         root = np.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy)
         small, large = half_trace - root, half_trace + root
         if small > (2.5 * sigma) ** 2 or large < 9.0 * max(small, sigma * sigma):
-            classes[i] = 3
+            if located:
+                classes[i] = 3
             continue
         angle = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)  # direction of the wall
         nx, ny = -np.sin(angle), np.cos(angle)
