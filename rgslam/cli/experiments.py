@@ -183,7 +183,7 @@ def slam_experiment(
     with StageProgress() as progress:
         result = run_slam(
             folder, seeds, ablations=tuple(ABLATIONS) if ablations else (), plot=plot,
-            progress=progress.update,
+            progress=progress.update, large=large,
         )  # fmt: skip
     print_json(result.to_dict()) if as_json else print_slam(result)
 
