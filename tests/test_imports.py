@@ -21,7 +21,6 @@ ABOVE = ["loaders", "simulation", "mapper", "pipeline", "experiments", "demo", "
 READERS = {
     "viewer",
     "report",
-    "report_plots",
     "export",
     "export_carmen",
     "export_bag",

@@ -15,12 +15,9 @@ from helpers import empty_map, office_map, upright_rectangle
 from plotly.offline import get_plotlyjs
 
 from rgslam.report import render_report
-from rgslam.report_plots import (
-    PATH_TOLERANCE,
-    ellipse_factor,
-    map_figure,
-    sigma_figure,
-)
+from rgslam.report.map_figure import map_figure
+from rgslam.report.run_traces import PATH_TOLERANCE, ellipse_factor
+from rgslam.report.sigma_figure import sigma_figure
 from rgslam.rg_map import RGMap
 from rgslam.types import Cuboid
 

@@ -23,12 +23,10 @@ from rgslam.rectangle_words import (
     largest_first,
     rectangle_rows,
 )
-from rgslam.report_plots import (
-    PATH_TOLERANCE,
-    Figure,
-    map_figure,
-    sigma_figure,
-)
+from rgslam.report.map_figure import map_figure
+from rgslam.report.run_traces import PATH_TOLERANCE
+from rgslam.report.sigma_figure import sigma_figure
+from rgslam.report.traces import Figure
 from rgslam.types import EdgeKind
 
 if TYPE_CHECKING:
