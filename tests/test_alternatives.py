@@ -10,6 +10,8 @@ from stereo_scenes import CAMERA, Board, facing, render
 
 from rgslam.rectangles.alternatives import Readings, added_by_sides, widened
 from rgslam.rectangles.detection import detect_rectangles
+from rgslam.rectangles.edges_beside import OtherEdge, edges_beside
+from rgslam.rectangles.gradients import gradient_image
 from rgslam.rectangles.maximum_likelihood import CornerMeasurements, fit_rectangles
 from rgslam.rectangles.rivals import other_readings
 
@@ -75,3 +77,45 @@ def test_a_side_face_widens_the_size_and_no_more() -> None:
     assert thick[0].size_sigma[0] > 0.5 * 0.04
     assert thick[0].size_sigma[1] < 0.01
     assert abs(thick[0].size[0] - 0.5) < 3.0 * thick[0].size_sigma[0]
+
+
+def beside(boards: list[Board], border: Board, wall: float = 150.0) -> list[OtherEdge]:
+    """Other edges beside the sides of a border."""
+    left, right = (gradient_image(image) for image in render(boards, seed=6, wall=wall))
+    corners = np.array([CAMERA.project(border.corners), CAMERA.project_right(border.corners)])
+    return edges_beside((left, right), corners, CAMERA.fx / 2.0)
+
+
+def strip(width: float, grey: float) -> Board:
+    """To the right of the front."""
+    middle = FRONT.centre + np.array([0.25 + 0.5 * width, 0.0, 0.0])
+    return Board(FRONT.rotation, middle, (width, 0.4), grey)
+
+
+def test_the_rest_of_a_step_outside_a_border_is_no_other_border() -> None:
+    # A casing hardly darker than the wall: most of the contrast is at the board
+    assert not beside([strip(0.04, 135.0), FRONT], FRONT)
+    # Seen from the casing's outer edge, the board's is much the stronger one
+    wide = Board(FRONT.rotation, FRONT.centre + np.array([0.02, 0.0, 0.0]), (0.54, 0.4), 0.0)
+    (found,) = beside([strip(0.04, 135.0), FRONT], wide)
+    assert (found.side, found.odds) == (1, 1.0)
+    assert found.left_px == pytest.approx(CAMERA.project(FRONT.corners), abs=0.3)
+
+
+def test_the_weaker_edge_of_a_line_is_hardly_the_border() -> None:
+    # A dark shadow 3 cm wide around the right side of a light board: two edges of two signs
+    light = Board(FRONT.rotation, FRONT.centre, (0.5, 0.4), 230.0)
+    (found,) = beside([strip(0.03, 100.0), light], light)
+    assert found.side == 1
+    assert found.odds < 1.0
+    moved = found.left_px[1:3, 0] - CAMERA.project(light.corners)[1:3, 0]
+    assert moved == pytest.approx(0.03 * CAMERA.fx / 2.0, abs=0.3)
+
+
+def test_a_line_too_narrow_to_see_draws_an_edge_aside() -> None:
+    light = Board(FRONT.rotation, FRONT.centre, (0.5, 0.4), 190.0)
+    assert not beside([light], light)
+    found = beside([strip(0.003, 30.0), light], light)  # 0.7 px of shadow
+    assert {other.side for other in found} == {1}
+    moved = [(other.left_px - CAMERA.project(light.corners))[1, 0] for other in found]
+    assert min(moved) == pytest.approx(0.5)

@@ -77,12 +77,14 @@ def _readings(
         CornerMeasurements.of(left, own, right_px=right, right_covariance=own_right), camera
     )
     ends = np.cumsum(counts)
+    prior = np.array([p for beside in others for p in [1.0, *(other.odds for other in beside)]])
     parts = [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
     return [
         Readings(
             fitted.part(k), left[k], own[k], right[k], own_right[k],
-            # One border is as good as the other, but for how well both images agree on it
-            np.exp(-0.5 * np.clip(fitted.costs[k] - fitted.costs[k.start], -50.0, 50.0))
+            # How well both images agree on it
+            prior[k]
+            * np.exp(-0.5 * np.clip(fitted.costs[k] - fitted.costs[k.start], -50.0, 50.0))
             * fitted.converged[k],
         )
         for k in parts

@@ -31,6 +31,7 @@ from rgslam.rectangles.ray_plane import shape_score
 from rgslam.rectangles.rejection import Rejection
 from rgslam.rectangles.right_search import find_in_right
 from rgslam.rectangles.rivals import other_readings, without_rivals
+from rgslam.rectangles.row_residuals import as_calibrated
 from rgslam.rectangles.verification import (
     RightCorners,
     is_possible,
@@ -131,6 +132,7 @@ def measure_hypotheses(
     if len(quads):
         dense = compute_disparity(*images, camera, config.stereo)
         quads, measured = _in_right_image(quads, gradients, camera, dense, config, rejected)
+        quads, measured = as_calibrated(quads, measured, config.rectangles.corner_sigma_px)
     else:
         measured = RightCorners(quads.corners, quads.covariances, quads.support)
 
