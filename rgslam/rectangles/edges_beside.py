@@ -72,9 +72,10 @@ def edges_beside(
         for off, odds in left:
             apart = np.abs(right[:, 0] - off)
             if apart.min(initial=np.inf) <= _TOGETHER + _PARALLAX * abs(off):
-                both = (off, right[apart.argmin(), 0])
-                moved = [_moved(corners[i], side, outward[i], both[i]) for i in range(2)]
-                found.append(OtherEdge(side, *moved, odds))
+                there = float(right[apart.argmin(), 0])
+                in_left = _moved(corners[0], side, outward[0], float(off))
+                in_right = _moved(corners[1], side, outward[1], there)
+                found.append(OtherEdge(side, in_left, in_right, float(odds)))
     return found
 
 
