@@ -107,12 +107,14 @@ class LandmarkConfig(StageConfig):
 
     # Sizes as sold: doors by DIN 18101 and ANSI, writing boards and paper A3 to A0, screens of
     # 15 to 32 inches on a desk, cabinets of two to five folders' height that stand on the floor.
+    # Walls of 2.4 to 3 m between floor and ceiling: what is one becomes no object of the map.
     classes: tuple[RectangleClass, ...] = (
         _class("door", 0.93, 0.10, 2.06, 0.08, 1.04, 0.05),
         _class("whiteboard/poster", 1.40, 0.50, 1.00, 0.20, 1.50, 0.20),
         _class("whiteboard/poster", 0.65, 0.20, 0.85, 0.25, 1.50, 0.20),
         _class("monitor", 0.45, 0.12, 0.32, 0.06, 1.00, 0.12),
         _class("cabinet", 0.80, 0.25, 1.30, 0.45, 0.65, 0.25),
+        _class("wall", 3.00, 2.00, 2.70, 0.20, 1.35, 0.10),
     )
     largest: tuple[float, float, float] = (6.0, 3.0, 3.0)  # m, of what has no class
     in_front: float = Field(0.3, gt=0.0)  # m, where the region is looked up

@@ -1,6 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The rgslam authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage: fused landmarks -> rectangles and cuboids of the map, with labels and regions."""
+"""The stage: fused landmarks -> rectangles and cuboids of the map, with labels and regions.
+
+Between floor and ceiling a stretch of wall is a rectangle too, and one with strong edges. Its ends
+are those of what hides it, or corners of the building that the regions' outlines hold already: it
+helps to find the poses, and no object comes of it.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +14,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from rgslam.config import LandmarkConfig, RectangleClass
+from rgslam.data_association import RectangleState
 from rgslam.fusion import Fusion, Landmark
 from rgslam.rectangles.fitted_cuboid import FittedCuboid
 from rgslam.types import Cuboid, FloatArray, Rectangle, Region
 
 UNKNOWN = "unknown"
+WALL = "wall"
 #: What boxes are called: of furniture, a cabinet is the one that is a plain box.
 CUBOID = "cabinet"
 
@@ -23,19 +30,24 @@ def describe_landmarks(
 ) -> tuple[tuple[Rectangle, ...], tuple[Cuboid, ...]]:
     """Rectangles of the map, in the order in which they were first seen, and cuboids of them.
 
+    Stretches of wall are left out, and cuboids with a face that is one.
+
     Args:
         fusion: what the joint graph says.
         regions: of the map; a rectangle belongs to the one it faces.
         config: the classes.
     """
     landmarks = fusion.landmarks
-    order = sorted(range(len(landmarks)), key=lambda i: landmarks[i].sights[0])
+    labels = [classify(one.state, config) for one in landmarks]
+    objects = [i for i, (label, _) in enumerate(labels) if label != WALL]
+    order = sorted(objects, key=lambda i: landmarks[i].sights[0])
     rectangles = tuple(
-        _describe(number, landmarks[i], regions, config) for number, i in enumerate(order)
+        _describe(number, landmarks[i], labels[i], regions, config.in_front)
+        for number, i in enumerate(order)
     )
     ids = {i: number for number, i in enumerate(order)}
-    cuboids = tuple(_cuboid(n, cuboid, ids) for n, cuboid in enumerate(fusion.cuboids))
-    return rectangles, cuboids
+    whole = [c for c in fusion.cuboids if all(face.rectangle in ids for face in c.faces)]
+    return rectangles, tuple(_cuboid(n, cuboid, ids) for n, cuboid in enumerate(whole))
 
 
 def _cuboid(number: int, cuboid: FittedCuboid, ids: dict[int, int]) -> Cuboid:
@@ -46,15 +58,18 @@ def _cuboid(number: int, cuboid: FittedCuboid, ids: dict[int, int]) -> Cuboid:
 
 
 def _describe(
-    number: int, landmark: Landmark, regions: Sequence[Region], config: LandmarkConfig
+    number: int,
+    landmark: Landmark,
+    label: tuple[str, float],
+    regions: Sequence[Region],
+    in_front: float,
 ) -> Rectangle:
     state = landmark.state
-    label, probability = classify(state.size, state.corners, state.covariance, config)
     return Rectangle(
         id=number,
-        label=label,
-        label_probability=probability,
-        region=_region_faced(state.wTr, regions, config.in_front),
+        label=label[0],
+        label_probability=label[1],
+        region=_region_faced(state.wTr, regions, in_front),
         wTr=state.wTr,
         size=state.size,
         covariance=state.covariance,
@@ -68,20 +83,16 @@ def _describe(
     )
 
 
-def classify(
-    size: FloatArray, corners: FloatArray, covariance: FloatArray, config: LandmarkConfig
-) -> tuple[str, float]:
+def classify(state: RectangleState, config: LandmarkConfig) -> tuple[str, float]:
     """What a rectangle most likely is, by its size and how high it hangs, and how likely.
 
     Args:
-        size: (2,), m, width and height.
-        corners: (4, 3), m, with the floor at z = 0.
-        covariance: (8, 8), of pose and size.
+        state: in the world, with the floor at z = 0.
         config: the classes; what fits none of them is unknown.
     """
-    middle = float(corners[:, 2].mean())
-    measured = np.array([*size, middle])
-    variance = np.append(np.diagonal(covariance)[6:], max(float(covariance[4, 4]), 0.0))
+    measured = np.array([*state.size, float(state.corners[:, 2].mean())])
+    variances = np.diagonal(state.covariance)
+    variance = np.append(variances[6:], max(float(variances[4]), 0.0))
     densities = [_density(measured, variance, one) for one in config.classes]
     # Anything: evenly from nothing to the largest wall
     nowhere = 1.0 / float(np.prod(config.largest))

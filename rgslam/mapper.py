@@ -439,12 +439,15 @@ class Mapper:
         gateways = detect_crossings(segmentation.gateways, trajectory)
         rectangles: tuple[Rectangle, ...] = ()
         cuboids: tuple[Cuboid, ...] = ()
+        decisions: dict[str, int] = {}
         if fusion is not None:
             from rgslam.landmarks import describe_landmarks
 
             rectangles, cuboids = describe_landmarks(
                 fusion, segmentation.regions, self.config.landmarks
             )
+            walls = len(fusion.landmarks) - len(rectangles)
+            decisions = {**fusion.counts, "landmarks left out: wall": walls}
         return RGMap(
             regions=segmentation.regions,
             gateways=gateways,
@@ -466,7 +469,7 @@ class Mapper:
                 partial=partial,
                 details={
                     "loops": self._loop_details(),
-                    "fusion": dict(fusion.counts) if fusion is not None else {},
+                    "fusion": decisions,
                     "camera_mounts": [] if fusion is None else mount_details(fusion.mounts),
                 },
             ),
