@@ -111,8 +111,8 @@ class JointGraph:
         self.cameras: MountedCameras = {} if cameras is None else cameras
         self._loop_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.loop_kernel)
         tilt, height = np.radians(config.floor_tilt_deg), config.floor_height
-        sigmas = np.array([tilt, tilt, _UNKNOWN, _UNKNOWN, _UNKNOWN, height])
-        self._floor = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        self._level = gtsam.noiseModel.Diagonal.Sigmas(np.array([tilt, tilt, _UNKNOWN]))
+        self._floor = gtsam.noiseModel.Diagonal.Sigmas(np.array([_UNKNOWN, _UNKNOWN, height]))
 
     # --- Poses -------------------------------------------------------------------------------
 
@@ -132,8 +132,10 @@ class JointGraph:
         """
         self.initial.insert(key, wTb)
         if on_floor:
+            # Apart: together, a step along a tilted robot's x axis would be one in height
             level = spatial(planar(wTb))
-            self.factors.add(gtsam.PriorFactorPose3(key, level, self._floor))
+            self.factors.add(gtsam.PoseRotationPrior3D(key, level.rotation(), self._level))
+            self.factors.add(gtsam.GPSFactor(key, level.translation(), self._floor))
 
     def add_between(
         self, i: int, j: int, iTj: gtsam.Pose3, covariance: FloatArray, robust: bool = False

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
+from scipy.linalg import block_diag
 
 from rgslam.data_association import FramePose, RectangleState, Track, project
 from rgslam.factor_graph.joint_graph import (
@@ -19,6 +20,7 @@ from rgslam.factor_graph.joint_graph import (
     planar,
 )
 from rgslam.fusion.batch import Solution
+from rgslam.fusion.shared_borders import contradiction, shared_spread
 from rgslam.geometry import adjoint, between, inverse
 from rgslam.observations import PlacedFrame
 from rgslam.rectangles.cuboid_landmarks import fit_cuboids
@@ -58,13 +60,23 @@ def describe(solution: Solution) -> Fusion:
     poses = [
         _at_estimate(pose, f, solution.values, covariances) for f, pose in enumerate(solution.poses)
     ]
+    states = solution.states()
+    shared = [
+        shared_spread(state, track, poses) + contradiction(state, track, poses)
+        for state, track in zip(states, solution.tracks, strict=True)
+    ]
     landmarks = tuple(
-        _landmark(marginals.rectangle(number), track, solution.frames, poses)
+        _landmark(marginals.rectangle(number), shared[number], track, solution.frames, poses)
         for number, track in enumerate(solution.tracks)
     )
     # Rectangles that share edges at right angles
     corners = np.array([landmark.state.corners for landmark in landmarks]).reshape(-1, 4, 3)
-    cuboids = fit_cuboids(corners, marginals.corner_covariance)
+    cuboids = fit_cuboids(
+        corners,
+        lambda numbers: (
+            marginals.corner_covariance(numbers) + block_diag(*(shared[n] for n in numbers))
+        ),
+    )
     counts = {**solution.counts, "landmarks": len(landmarks), "cuboids": len(cuboids)}
     return Fusion(
         solution.keyframes, covariances, landmarks, cuboids, counts, marginals, marginals.mounts()
@@ -73,12 +85,14 @@ def describe(solution: Solution) -> Fusion:
 
 def _landmark(
     found: RectangleMarginal,
+    shared: FloatArray,
     track: Track,
     frames: Sequence[PlacedFrame],
     poses: Sequence[FramePose],
 ) -> Landmark:
-    state = RectangleState.of_corners(found.corners, found.covariance)
-    blocks = np.array([found.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(4)])
+    spread = found.covariance + shared
+    state = RectangleState.of_corners(found.corners, spread)
+    blocks = np.array([spread[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(4)])
     history = size_history(state, track, frames, poses)
     final = np.sqrt(np.diagonal(state.covariance)[6:])
     history[:, 3:] = np.maximum(history[:, 3:], final)  # nobody knew more before the last sight
