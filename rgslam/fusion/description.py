@@ -20,7 +20,7 @@ from rgslam.factor_graph.joint_graph import (
     planar,
 )
 from rgslam.fusion.batch import Solution
-from rgslam.fusion.shared_borders import contradiction, shared_spread
+from rgslam.fusion.shared_borders import unaveraged
 from rgslam.geometry import adjoint, between, inverse
 from rgslam.observations import PlacedFrame
 from rgslam.rectangles.cuboid_landmarks import fit_cuboids
@@ -61,8 +61,9 @@ def describe(solution: Solution) -> Fusion:
         _at_estimate(pose, f, solution.values, covariances) for f, pose in enumerate(solution.poses)
     ]
     states = solution.states()
+    by_number = dict(enumerate(poses))
     shared = [
-        shared_spread(state, track, poses) + contradiction(state, track, poses)
+        unaveraged(state, track, by_number)
         for state, track in zip(states, solution.tracks, strict=True)
     ]
     landmarks = tuple(

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 
 from rgslam.config import Config
-from rgslam.data_association import DataAssociation, RectangleState, Track
+from rgslam.data_association import DataAssociation, FramePose, RectangleState, Track
 from rgslam.factor_graph.camera_mount import left_key
 from rgslam.factor_graph.joint_graph import (
     JointGraph,
@@ -27,6 +27,7 @@ from rgslam.factor_graph.joint_graph import (
     planar,
     spatial,
 )
+from rgslam.fusion.shared_borders import unaveraged
 from rgslam.fusion.sights import frame_pose, given_mounts, seen_from, sights_of
 from rgslam.geometry import compose
 from rgslam.loop_closing.uncertainty import EdgeTable
@@ -54,6 +55,7 @@ class OnlineFusion:
         self._frames: list[PlacedFrame] = []
         self._framed: set[int] = set()  # frames with a pose variable
         self._numbers: dict[int, int] = {}  # number of the landmark by index of its track
+        self._indices: list[int] = []  # the reverse
         self._used: dict[int, int] = {}  # sights in the graph by index of the track
         self._cameras: MountedCameras = {}
 
@@ -141,6 +143,7 @@ class OnlineFusion:
                 continue
             if index not in self._numbers:
                 self._numbers[index] = len(self._numbers)
+                self._indices.append(index)
                 graph.add_rectangle(self._numbers[index], track.state.corners)
             self._add_sights(graph, index, track)
         if graph.factors.size():
@@ -189,4 +192,13 @@ class OnlineFusion:
 
     def _state(self, number: int) -> RectangleState:
         spread = joint_covariance(self._isam, corner_keys(number))
-        return RectangleState.of_corners(self._corners(number), spread)
+        found = RectangleState.of_corners(self._corners(number))
+        track = self._association.tracks[self._indices[number]]
+        poses = {sight.frame: self._frame_pose(sight.frame) for sight in track.sights}
+        return RectangleState.of_corners(found.corners, spread + unaveraged(found, track, poses))
+
+    def _frame_pose(self, number: int) -> FramePose:
+        frame = self._frames[number]
+        pose = frame_pose(frame, self._keyframe(frame.keyframe), self._mounts(frame))
+        at = planar(self._isam.calculateEstimatePose3(frame_key(number)))
+        return replace(pose, wTb=at)

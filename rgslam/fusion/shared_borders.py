@@ -15,7 +15,7 @@ Physical Review 40, 1932).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -25,16 +25,25 @@ from rgslam.types import FloatArray
 #: Sides by their corners, and where outside is in the plane of the rectangle.
 _SIDES = ((0, 1), (1, 2), (2, 3), (3, 0))
 _OUTWARD = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+#: A row is the mean of both images', which halves its variance; columns are of one each.
+_OF_LEFT = np.diag([1.0, 0.0, np.sqrt(2.0)])
 
 
-def shared_spread(state: RectangleState, track: Track, poses: Sequence[FramePose]) -> FloatArray:
-    """Covariance (12, 12) of the corners by offsets of sides that all sights share, m^2, w.
+def unaveraged(state: RectangleState, track: Track, poses: Mapping[int, FramePose]) -> FloatArray:
+    """Covariance (12, 12) of the corners by what their joint estimate averages too much, m^2, w.
 
     Args:
         state: the landmark.
         track: its sights.
-        poses: of all frames.
+        poses: of their frames as estimated, by number.
     """
+    return _shared_offsets(state, track, poses) + _contradiction(state, track, poses)
+
+
+def _shared_offsets(
+    state: RectangleState, track: Track, poses: Mapping[int, FramePose]
+) -> FloatArray:
+    """By offsets of sides that all sights share."""
     variances, rates = np.array(
         [
             _side_variances(state, poses[sight.frame], sight.corners.turned(turns).covariances)
@@ -57,6 +66,7 @@ def _side_variances(
 ) -> tuple[FloatArray, FloatArray]:
     """Of each side in the left image, across it: variance (4,), px^2, and px per metre (4,)."""
     pixels, by_point, _ = project_points(state.corners, pose)
+    covariances = _OF_LEFT @ covariances @ _OF_LEFT
     variances, rates = np.empty(4), np.empty(4)
     for s, (a, b) in enumerate(_SIDES):
         along = pixels[b, [0, 2]] - pixels[a, [0, 2]]
@@ -67,14 +77,10 @@ def _side_variances(
     return variances, rates
 
 
-def contradiction(state: RectangleState, track: Track, poses: Sequence[FramePose]) -> FloatArray:
-    """Covariance (12, 12) of the corners by what sights contradict each other by, m^2, w.
-
-    Args:
-        state: the landmark.
-        track: its sights.
-        poses: of all frames, as estimated.
-    """
+def _contradiction(
+    state: RectangleState, track: Track, poses: Mapping[int, FramePose]
+) -> FloatArray:
+    """By what sights contradict each other by."""
     information, chi_square = np.zeros((8, 8)), 0.0
     for sight, turns in zip(track.sights, track.turns, strict=True):
         seen = sight.corners.turned(turns)
