@@ -156,6 +156,7 @@ def _features(seen: Hypotheses) -> FloatArray:
         seen.estimates.costs,
         seen.quads.loose_ends,
         seen.quads.faint,
+        seen.junctions,
     )
 
 

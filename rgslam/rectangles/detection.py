@@ -16,6 +16,7 @@ from rgslam.config import Config
 from rgslam.errors import CalibrationError
 from rgslam.rectangles.alternatives import Readings, widened
 from rgslam.rectangles.borders import with_borders
+from rgslam.rectangles.corner_junctions import Junctions, corner_junctions
 from rgslam.rectangles.detected import DetectedRectangle as DetectedRectangle
 from rgslam.rectangles.detected import covariance_fields, estimated
 from rgslam.rectangles.gradients import GradientImage, gradient_image
@@ -58,7 +59,8 @@ class Hypotheses:
     quads: Quadrangles
     measured: RightCorners
     estimates: RectangleEstimates
-    line_count: int  # in the left image
+    junctions: Junctions  # in the left image
+    line_count: int  # likewise
 
 
 def detect_rectangles(
@@ -92,7 +94,7 @@ def detect_rectangles(
     seen = measure_hypotheses((left, right), gradients, camera, config, rejected)
     found: tuple[DetectedRectangle, ...] = ()
     if len(seen.quads):
-        found = _accept(seen.quads, seen.measured, seen.estimates, config, rejected)
+        found = _accept(seen, config, rejected)
         found = with_borders(found, (left, right), gradients, camera)
     return Detection(found, {why: n for why, n in rejected.items() if n}, seen.line_count)
 
@@ -137,7 +139,9 @@ def measure_hypotheses(
         measured = RightCorners(quads.corners, quads.covariances, quads.support)
 
     # 4. Maximum likelihood from all corners in both images
-    return Hypotheses(quads, measured, _estimate(quads, measured, camera), len(lines))
+    estimates = _estimate(quads, measured, camera)
+    junctions = corner_junctions(quads.corners, lines, gradients[0])
+    return Hypotheses(quads, measured, estimates, junctions, len(lines))
 
 
 def from_lower_left(quads: Quadrangles) -> Quadrangles:
@@ -204,27 +208,29 @@ def _estimate(
 
 
 def _accept(
-    quads: Quadrangles,
-    measured: RightCorners,
-    estimates: RectangleEstimates,
-    config: Config,
-    rejected: Counter[Rejection],
+    seen: Hypotheses, config: Config, rejected: Counter[Rejection]
 ) -> tuple[DetectedRectangle, ...]:
-    section = config.rectangles
+    section, quads, measured, estimates = (
+        config.rectangles,
+        seen.quads,
+        seen.measured,
+        seen.estimates,
+    )
     probability = rectangle_probability(
         quads.support,
         measured.support,
         estimates.costs,
         quads.loose_ends,
         quads.faint,
+        junctions=seen.junctions,
     )
     sigma = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):
         vague = ~(sigma <= section.max_relative_sigma * estimates.sizes).all(axis=1)
-    seen = np.isfinite(measured.corners).all(axis=(1, 2))
-    whole = estimates.converged & ~vague & seen
+    in_right = np.isfinite(measured.corners).all(axis=(1, 2))
+    whole = estimates.converged & ~vague & in_right
     tests = (
-        (Rejection.VERIFICATION_FAILED, ~seen),
+        (Rejection.VERIFICATION_FAILED, ~in_right),
         (Rejection.NOT_CONVERGED, ~estimates.converged),
         (Rejection.VERIFICATION_FAILED, probability < section.min_probability),
         (Rejection.TOO_UNCERTAIN, vague),

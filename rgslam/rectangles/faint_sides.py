@@ -212,8 +212,8 @@ def _judged(
                 x0, y0, x1, y1 = (
                     corners[i, s, 0], corners[i, s, 1], corners[i, n, 0], corners[i, n, 1],
                 )  # fmt: skip
-                past[s, 0] = _goes_on(xy, noise, x1, y1, x0, y0)
-                past[s, 1] = _goes_on(xy, noise, x0, y0, x1, y1)
+                past[s, 0] = goes_on(xy, noise, x1, y1, x0, y0)
+                past[s, 1] = goes_on(xy, noise, x0, y0, x1, y1)
                 loose[i] += past[s, 0] + past[s, 1]
                 continue
             at = np.empty(2)
@@ -231,7 +231,7 @@ def _judged(
                 short = share_seen(line, near, far, cumulated, first, count, begin) < 1.0 - EDGE
                 c, d = (n, s) if end == 0 else (s, n)
                 if around[i, (s + 3) % 4 if end == 0 else n] >= size:  # meets the fourth side
-                    beyond |= _goes_on(
+                    beyond |= goes_on(
                         xy, noise, corners[i, c, 0], corners[i, c, 1], corners[i, d, 0],
                         corners[i, d, 1],
                     )  # fmt: skip
@@ -243,7 +243,7 @@ def _judged(
 
 
 @njit(cache=True)
-def _goes_on(
+def goes_on(
     xy: npt.NDArray[np.float32], noise: float, x0: float, y0: float, x1: float, y1: float
 ) -> bool:
     """Whether the edge from one point to another goes on past the other one, however faintly."""
