@@ -10,6 +10,7 @@ from stereo_scenes import CAMERA, Board, facing, render
 
 from rgslam.config import Config, RectangleConfig
 from rgslam.errors import CalibrationError
+from rgslam.rectangles.corner_junctions import Junctions
 from rgslam.rectangles.detection import Detection, detect_rectangles
 from rgslam.rectangles.rejection import Rejection
 from rgslam.rectangles.verification import rectangle_probability
@@ -157,6 +158,13 @@ def test_probability_falls_with_every_piece_of_evidence() -> None:
     assert rectangle_probability(whole, half, fits, none) < best
     assert rectangle_probability(whole, whole, np.array([400.0]), none) < 1e-4
     assert rectangle_probability(whole, whole, np.array([np.inf]), none) < 1e-9
+    hung, met = np.array([2, 0]), np.array([0, 4])
+    corners = rectangle_probability(
+        *(np.repeat(a, 2, axis=0) for a in (whole, whole, fits, none)),
+        junctions=Junctions(hung, met),
+    )
+    plain = rectangle_probability(whole, whole, fits, none, junctions=Junctions.none(1))
+    assert corners.max() < best < plain
     loose = [rectangle_probability(whole, whole, fits, np.array([n]))[0] for n in range(9)]
     assert (np.diff(loose) < 0).all()
 

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from rgslam.camera import PinholeCamera
 from rgslam.config import Config, RectangleConfig
 from rgslam.errors import CalibrationError
-from rgslam.rectangles.corner_junctions import Junctions, corner_junctions
 from rgslam.rectangles.detected import DetectedRectangle, estimated
 from rgslam.rectangles.detection import (
     Detection,
@@ -78,14 +77,12 @@ def detect_with_depth(
     quads = from_lower_left(quads)
     found: tuple[DetectedRectangle, ...] = ()
     if len(quads):
-        junctions = corner_junctions(quads.corners, lines, gradient)
-        found = _measured(quads, junctions, depth, camera, section, rejected)
+        found = _measured(quads, depth, camera, section, rejected)
     return Detection(found, {why: n for why, n in rejected.items() if n}, len(lines))
 
 
 def _measured(
     quads: Quadrangles,
-    junctions: Junctions,
     depth: FloatArray,
     camera: PinholeCamera,
     section: RectangleConfig,
@@ -106,7 +103,6 @@ def _measured(
         estimates.costs,
         quads.loose_ends,
         other_log_odds=_end_log_odds(ended),
-        junctions=junctions,
     )
     spread = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):

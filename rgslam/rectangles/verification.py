@@ -29,6 +29,7 @@ from rgslam.types import FloatArray, IntArray
 FEATURES: tuple[str, ...] = ("base", "left", "right", "cost", "loose_1", "loose_2", "loose_more")
 FEATURES += ("faint", "hung_1", "hung_2", "met_1", "met_all")
 WEIGHTS = (-1.65, 2.53, 2.32, -0.32, -1.08, -0.86, -0.65, -0.81, -0.5, -2.0, -0.7, -2.5)
+_NOT_LOOKED = -0.75  # log odds, where it is not known what meets at the corners
 # A chi-square of eight degrees of freedom is larger in 0.1 % of the cases: beyond it the model is
 # wrong, at the rate at which errors of three times the stated size would be.
 LARGEST_COST, _MISFIT = 26.0, -0.54 * 0.5 / 9.0
@@ -89,8 +90,9 @@ def is_possible(
     right_support = np.broadcast_to(right_support, left_support.shape)
     nothing = np.zeros(len(left_support))
     best = rectangle_probability(
-        left_support, right_support, nothing, loose_ends, None, other_log_odds
-    )
+        left_support, right_support, nothing, loose_ends, None, other_log_odds,
+        Junctions.none(len(left_support)),
+    )  # fmt: skip
     return best >= least
 
 
@@ -112,10 +114,11 @@ def rectangle_probability(
         loose_ends: (k,), of the eight ends of sides, those that do not end at the corner.
         faint: (k,), a side was looked for, at more places than lines are found; None = nowhere.
         other_log_odds: (k,), of evidence that is independent of these.
-        junctions: Of their corners in the left image; None = nothing but its sides ends at any.
+        junctions: Of their corners in the left image; None = nobody looked.
     """
     faint = np.zeros(len(loose_ends), bool) if faint is None else faint
-    junctions = Junctions.none(len(loose_ends)) if junctions is None else junctions
+    if junctions is None:
+        junctions, other_log_odds = Junctions.none(len(loose_ends)), other_log_odds + _NOT_LOOKED
     features = border_features(left_support, right_support, costs, loose_ends, faint, junctions)
     log_odds = features @ np.array(WEIGHTS) + misfit(costs) + other_log_odds
     return 1.0 / (1.0 + np.exp(-np.clip(log_odds, -50.0, 50.0)))
