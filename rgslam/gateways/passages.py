@@ -95,7 +95,8 @@ def _side(
     count = 0
     in_frame = True
     for k in range(1, int(depth + jamb) + 1):
-        px, py = x + k * nx, y + k * ny
+        # Half a step: between cracks where the line lies on one, so that both sides are alike
+        px, py = x + (k - 0.5) * nx, y + (k - 0.5) * ny
         row, col = int(np.floor(py)), int(np.floor(px))
         if row < 0 or col < 0 or row >= free.shape[0] or col >= free.shape[1]:
             break

@@ -75,7 +75,7 @@ def _jamb(
     return reach[0], reach[1], closed, offsets[:n], rays[:n]
 
 
-def refine_posts(free: BoolArray, ends: FloatArray, thickest: float) -> Posts:
+def refine_posts(free: BoolArray, ends: FloatArray, deepest: float) -> Posts:
     """Posts of a passage.
 
     In a door frame the line moves to the middle of the jamb: which of its two edges the shortest
@@ -84,16 +84,16 @@ def refine_posts(free: BoolArray, ends: FloatArray, thickest: float) -> Posts:
     Args:
         free: (H, W) free cells, no passage drawn in.
         ends: (2, 2), the ends of the virtual line, x, y in cells.
-        thickest: deepest jamb, cells; where the walls go on in parallel for longer, it is a
-            hallway and the line stays where it is.
+        deepest: deepest jamb, cells; where the walls go on in parallel for longer, it is a hallway
+            and the line stays where it is.
     """
     length = float(np.linalg.norm(ends[1] - ends[0]))
     direction = (ends[1] - ends[0]) / length
     normal = np.array([-direction[1], direction[0]])
-    plus, minus, closed, offsets, rays = _jamb(np.ascontiguousarray(free), ends, thickest, 2.0)
+    plus, minus, closed, offsets, rays = _jamb(np.ascontiguousarray(free), ends, deepest, 2.0)
     if len(offsets) == 0:
         return Posts(ends.copy(), np.zeros((2, 2)), ends.copy())
-    in_frame = closed and plus + minus <= thickest
+    in_frame = closed and plus + minus <= deepest
     shift = 0.5 * (plus - minus) if in_frame else 0.0
     near = np.abs(offsets - shift) <= (max(plus, minus) if in_frame else 2.0)
     middle = ends.mean(axis=0) + shift * normal

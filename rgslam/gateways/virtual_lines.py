@@ -38,9 +38,16 @@ class VirtualLines:
 
 @nb.njit(cache=True)
 def ray_length(free: BoolArray, x: float, y: float, dx: float, dy: float, limit: float) -> float:
-    """Length of the free ray from (x, y) along the unit vector (dx, dy), by exact cell steps."""
+    """Length of the free ray from (x, y) along the unit vector (dx, dy), by exact cell steps.
+
+    Along a crack between two rows or columns of cells both must be free: which of them is the lower
+    one depends on how the building lies in the grid.
+    """
     height, width = free.shape
-    col, row = int(np.floor(x)), int(np.floor(y))
+    col = int(np.floor(x)) if dx >= 0.0 else int(np.ceil(x)) - 1
+    row = int(np.floor(y)) if dy >= 0.0 else int(np.ceil(y)) - 1
+    other_col = 1 if dx == 0.0 and x == col else 0
+    other_row = 1 if dy == 0.0 and y == row else 0
     step_x = 1 if dx > 0 else -1
     step_y = 1 if dy > 0 else -1
     delta_x = abs(1.0 / dx) if dx != 0.0 else np.inf
@@ -49,7 +56,9 @@ def ray_length(free: BoolArray, x: float, y: float, dx: float, dy: float, limit:
     next_y = ((row + 1 - y) if dy > 0 else (y - row)) * delta_y if dy != 0.0 else np.inf
     length = 0.0
     while length < limit:
-        if row < 0 or col < 0 or row >= height or col >= width or not free[row, col]:
+        if row < other_row or col < other_col or row >= height or col >= width:
+            return length
+        if not free[row, col] or not free[row - other_row, col - other_col]:
             return length
         if next_x < next_y:
             length = next_x

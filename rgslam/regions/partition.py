@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgslam.config import Config, RegionConfig
-from rgslam.gateways.passages import clearance_of, draw_wall, select_passages
+from rgslam.gateways.passages import Passages, clearance_of, draw_wall, select_passages
 from rgslam.gateways.posts import refine_posts
 from rgslam.gateways.virtual_lines import find_virtual_lines
 from rgslam.outlines import trace_outlines
@@ -195,7 +195,8 @@ def partition_free_space(
     screens, past_screen = open_screens(space, passages, resolution, gateways)
     passages = passages.without(past_screen)
     filled, space = filled | screens, space | screens
-    refined = [refine_posts(space, e, gateways.thickest_wall / resolution) for e in passages.ends]
+    deepest = _deepest_jambs(passages, resolution, config)
+    refined = [refine_posts(space, *p) for p in zip(passages.ends, deepest, strict=True)]
     posts = np.array([r.points for r in refined]).reshape(-1, 2, 2)
     scatter = np.array([r.scatter for r in refined]).reshape(-1, 2, 2)
 
@@ -219,6 +220,18 @@ def partition_free_space(
         labels, count, posts[real], scatter[real], passages.is_neck[real], renamed[sides[real]],
         (None,) * int(real.sum()),
     )  # fmt: skip
+
+
+def _deepest_jambs(passages: Passages, resolution: float, config: Config) -> FloatArray:
+    """How deep (n,) the jambs of passages may be, cells.
+
+    As deep as walls are thick. Two parallel walls that stand out farther beside a neck are its jamb
+    too, as long as nobody could be between them without standing in the door.
+    """
+    widths = np.linalg.norm(passages.ends[:, 1] - passages.ends[:, 0], axis=1)
+    stub = np.minimum(widths, config.regions.least_area / resolution**2 / widths)
+    thickest = config.gateways.thickest_wall / resolution
+    return np.where(passages.is_neck, np.maximum(stub, thickest), thickest)
 
 
 def near_wall(is_wall: BoolArray, resolution: float) -> BoolArray:
