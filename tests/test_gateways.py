@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 import shapely
-from floors import office, raster
+from floors import moved, office, raster
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,6 +14,7 @@ from rgslam.config import GatewayConfig
 from rgslam.gateways import detect_crossings
 from rgslam.gateways.classes import count_arms, gateway_class
 from rgslam.gateways.posts import post_covariance
+from rgslam.gateways.virtual_lines import ray_length
 from rgslam.types import Gateway, GatewayClass, Trajectory
 
 
@@ -182,3 +183,26 @@ def test_both_regions_share_one_gateway():
     for g in found.gateways:
         assert all(g.id in found.regions[r - 1].gateways for r in g.regions)
     assert sum(len(r.gateways) for r in found.regions) == 2 * len(found.gateways)
+
+
+@pytest.mark.parametrize("depth", [0.3, 0.7])
+def test_posts_stand_amid_a_deep_jamb(depth):
+    rooms = [shapely.box(0, 0, 5, 4), shapely.box(0, 4 + depth, 5, 8)]
+    door = shapely.box(2, 4, 2.95, 4 + depth)
+    for angle in (0.0, np.pi / 2, 0.5):
+        grid = raster([*rooms, door], 0.05, angle)
+        (gateway,) = segment_grid(grid).gateways
+        middle = np.array(moved(door.centroid, angle, False).coords[0])
+        assert np.hypot(*(gateway.crossing_point - middle)) < 2 * 0.05
+
+
+def test_a_ray_along_a_crack_meets_what_stands_on_either_side():
+    free = np.ones((8, 8), bool)
+    free[5, 3] = False
+    for x in (3.0, 4.0):
+        assert ray_length(free, x, 1.0, 0.0, 1.0, 9.0) == 4.0
+        assert ray_length(free, x, 7.0, 0.0, -1.0, 9.0) == 1.0
+    for y in (5.0, 6.0):
+        assert ray_length(free, 1.0, y, 1.0, 0.0, 9.0) == 2.0
+        assert ray_length(free, 7.0, y, -1.0, 0.0, 9.0) == 3.0
+    assert ray_length(free, 2.0, 1.0, 0.0, 1.0, 9.0) == 7.0

@@ -54,9 +54,8 @@ def segment_grid(
             205 = unknown. The lower left corner of an image is the origin of the world.
         resolution: m per pixel of an image; a grid knows its own.
         config: the sections `gateways` and `regions` are used; None for the defaults.
-        of_run: as in the map of a run: divide hallways where they meet and bend, and count as a
-            region's what furniture against its walls hides from the laser. Floor plans are drawn
-            without the one, and what they show no floor of is no floor.
+        of_run: as in the map of a run: divide hallways where they meet and bend; floor plans are
+            drawn without that.
 
     Returns:
         Labels in the rows of `OccupancyGrid` (row 0 = lowest y, an image turned upside down),
@@ -79,12 +78,11 @@ def segment_grid(
     free = np.asarray(grid.occupancy < _FREE_BELOW, bool)
     is_wall = np.asarray(grid.occupancy >= _FREE_BELOW, bool)
     partition = partition_free_space(free, is_wall, grid.resolution, config)
-    furniture = np.zeros_like(partition.labels)
     if of_run:
         partition = split_hallways(partition, free, grid.resolution, config)
-        furniture = furniture_at_walls(
-            partition.labels, partition.count, free, is_wall, grid.resolution, config.regions
-        )
+    furniture = furniture_at_walls(
+        partition.labels, partition.count, free, is_wall, grid.resolution, config
+    )
     if partition.count > np.iinfo(np.uint16).max:
         raise MapError(f"{partition.count} regions are more than the label image can hold")
     # How wide a room is, not what is left of it between the cabinets

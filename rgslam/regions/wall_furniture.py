@@ -3,7 +3,9 @@
 """Furniture that stands against walls: space of a room that no laser sees.
 
 A cabinet hides the wall behind it, so that the free space of its room has a recess there. The walls
-on either side of it tell how far the room really goes.
+on either side of it tell how far the room really goes. That nobody has looked inside is what a map
+of a run tells; a floor plan in black and white does not, and there the straight sides of such a
+place are what tells it from the corners of a round room.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rgslam.config import RegionConfig
+from rgslam.config import Config
 from rgslam.line_segments import main_axes
 from rgslam.outlines import trace_outlines
 from rgslam.regions.description import region_boxes
@@ -28,18 +30,21 @@ _WALL_NOISE = 0.06
 _SEEN_INSIDE = 0.1
 # The longest edges of an outline, which tell the direction of the walls.
 _EDGES = 200
+# Sides of furniture run along its wall to within this angle, and so much of its outline does.
+_ASKEW, _STRAIGHT = np.radians(10.0), 0.9
 # Share of it that may be somebody else's: what shows through the joints of a wall.
 _OF_OTHERS = 0.02
 
 
 def furniture_at_walls(
     labels: LabelArray, count: int, free: BoolArray, is_wall: BoolArray, resolution: float,
-    config: RegionConfig,
+    config: Config,
 ) -> LabelArray:  # fmt: skip
     """Cells (H, W) taken by furniture against the walls of regions: the region's label, else 0.
 
     Such a place has the region on two neighbouring sides at least, as far as its walls reach; it
-    is no larger than furniture is, nobody has looked inside, and it is nobody else's.
+    is no larger than furniture is, nobody has looked inside (or it has straight sides, where a
+    plan draws all of it), and it is nobody else's.
 
     Args:
         labels: (H, W), of regions 1 to `count`.
@@ -47,7 +52,7 @@ def furniture_at_walls(
         free: (H, W) free cells.
         is_wall: (H, W) cells seen occupied.
         resolution: m per cell.
-        config: how large furniture is.
+        config: how large furniture is and how wide a door, the recess that is none.
     """
     found = np.zeros_like(labels)
     margin = 2
@@ -62,7 +67,7 @@ def furniture_at_walls(
 
 
 def _hidden(
-    inside: BoolArray, taken: BoolArray, is_wall: BoolArray, resolution: float, config: RegionConfig
+    inside: BoolArray, taken: BoolArray, is_wall: BoolArray, resolution: float, config: Config
 ) -> BoolArray:
     """The same for one region, in its part of the grid."""
     there, size = _turn_to_walls(inside)
@@ -70,8 +75,8 @@ def _hidden(
         cv2.warpAffine(image.astype(np.uint8), there, size, flags=cv2.INTER_NEAREST) > 0
         for image in (inside, is_wall & ~inside, taken)
     )
-    # Single beams through a door's gap reach past a wall; the walls are where the bulk ends
-    width = 2 * int(np.ceil(2.0 * _WALL_NOISE / resolution)) + 1
+    # Thresholds of doors, and beams through a gap, reach past a wall: it is where the bulk ends
+    width = 2 * int(np.ceil(0.5 * config.gateways.door_leaf / resolution)) + 1
     bulk = cv2.morphologyEx(
         mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((width, width), np.uint8)
     )
@@ -83,24 +88,46 @@ def _hidden(
     front = int(np.ceil(2.0 * _WALL_NOISE / resolution))
     near = cv2.dilate(mask.astype(np.uint8), np.ones((2 * front + 1, 2 * front + 1), np.uint8)) > 0
     looked_into = np.bincount(pieces[occupied & ~near], minlength=number)
+    # No laser sees all of what is inside: such a place was drawn
+    drawn = np.bincount(pieces[occupied], minlength=number) > (1.0 - _SEEN_INSIDE) * stats[:, 4]
     beside = cv2.dilate(others.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     of_others = np.bincount(pieces[beside], minlength=number)
-    sides = np.sort(stats[:, 2:4], axis=1) * resolution
+    sizes, longest = config.regions, stats[:, 2:4].max(axis=1) * resolution
     good = (
         # A recess no longer than a chair is as likely a column as a bin
-        (sides[:, 1] > config.largest_object)
-        & (sides[:, 0] >= 2.0 * _WALL_NOISE)
-        & (sides[:, 0] <= config.deepest_furniture)
-        & (sides[:, 1] <= config.largest_furniture)
-        & (looked_into <= _SEEN_INSIDE * stats[:, 4])
+        (longest > sizes.largest_object)
+        & (longest <= sizes.largest_furniture)
+        & (drawn | (looked_into <= _SEEN_INSIDE * stats[:, 4]))
         & (of_others <= _OF_OTHERS * stats[:, 4])
     )
     good[0] = False
+    for i in np.flatnonzero(good).tolist():
+        x, y, w, h = stats[i, :4].tolist()
+        piece = pieces[y : y + h, x : x + w] == i
+        depth = _depth(piece) * resolution
+        good[i] = 2.0 * _WALL_NOISE <= depth <= sizes.deepest_furniture and (
+            not drawn[i] or _has_straight_sides(piece, front)
+        )
     back = cv2.warpAffine(
         good[pieces].astype(np.uint8), there, inside.shape[::-1],
         flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
     )  # fmt: skip
     return np.asarray((back > 0) & ~inside & ~taken, bool)
+
+
+def _depth(piece: BoolArray) -> float:
+    """Width of the largest square that fits in, cells: what an L in a corner is deep."""
+    inner = cv2.distanceTransform(np.pad(piece.astype(np.uint8), 1), cv2.DIST_C, 3)
+    return 2.0 * float(inner.max()) - 1.0
+
+
+def _has_straight_sides(piece: BoolArray, noise: float) -> bool:
+    """Whether the outline runs along rows and columns but for the noise of walls, cells."""
+    rings = trace_outlines(piece, noise).polygons()
+    sides = np.abs(np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings]))
+    straight = sides.min(axis=1) <= np.maximum(np.tan(_ASKEW) * sides.max(axis=1), noise)
+    lengths = np.hypot(sides[:, 0], sides[:, 1])
+    return bool(lengths[straight].sum() >= _STRAIGHT * lengths.sum())
 
 
 def _enclosed(mask: BoolArray) -> BoolArray:
