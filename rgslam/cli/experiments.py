@@ -127,6 +127,9 @@ def regions_experiment(
     plot: Annotated[
         Path | None, typer.Option("--plot", help="Folder for pictures, truth beside ours.")
     ] = None,
+    changed: Annotated[
+        bool, typer.Option("--changed", help="Turned, mirrored, rescaled and made worse too.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Segment floor plans with known regions; print the scores beside other methods'.
@@ -136,12 +139,18 @@ def regions_experiment(
       rgslam experiment regions datasets/floorplans --plot out/plans
     """
     from rgslam.cli_output import StageProgress
-    from rgslam.experiments import run_regions
-    from rgslam.experiments.tables import print_regions
+    from rgslam.experiments import run_changed_plans, run_regions
+    from rgslam.experiments.tables import print_changed_plans, print_regions
 
     with StageProgress() as progress:
         result = run_regions(folder, resolution, plot, progress=progress.update)
-    print_json(result.to_dict()) if as_json else print_regions(result)
+        scores = run_changed_plans(folder, resolution, "", progress.update) if changed else ()
+    if as_json:
+        print_json({**result.to_dict(), "changed": [score.to_dict() for score in scores]})
+        return
+    print_regions(result)
+    if scores:
+        print_changed_plans(scores)
 
 
 @experiment_app.command("slam")

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The paper's experiments (section IV), with maximum likelihood beside the closed form."""
 
+from rgslam.experiments.changed_plans import run_changed_plans
 from rgslam.experiments.depth_noise import DepthNoiseResult, run_depth_noise
 from rgslam.experiments.discretization import DiscretizationResult, run_discretization
 from rgslam.experiments.fusion import FusionResult, run_fusion
@@ -17,6 +18,7 @@ __all__ = [
     "RegionsResult",
     "RulesResult",
     "learn_prediction_tables",
+    "run_changed_plans",
     "run_depth_noise",
     "run_discretization",
     "run_fusion",

@@ -30,7 +30,7 @@ from rgslam.metrics.label_images import (
     true_labels,
 )
 from rgslam.regions import segment_grid
-from rgslam.types import FloatArray, Mask, ProgressCallback, Segmentation
+from rgslam.types import FloatArray, GreyImage, Mask, ProgressCallback, Segmentation
 
 _TRUTH = "_gt_segmentation.png"
 #: What may be added to a plan's name.
@@ -124,9 +124,7 @@ def run_regions(
         MapError: a plan cannot be read.
     """
     folder = Path(folder)
-    names = sorted(path.name.removesuffix(_TRUTH) for path in folder.glob(f"*{_TRUTH}"))
-    if not names:
-        raise EvaluationError(f"{folder}: holds no plan with a drawn segmentation (*{_TRUTH})")
+    names = plan_names(folder)
     jobs = [(n, v) for n in names for v in variants if v == "" or (folder / f"{n}{v}.png").exists()]
     _compile()
     scores = []
@@ -135,8 +133,37 @@ def run_regions(
         if progress is not None:
             progress("plans", k + 1, len(jobs))
     present = [v for v in variants if any(s.variant == v for s in scores)]
-    means = tuple(_mean([s for s in scores if s.variant == v]) for v in present)
+    means = tuple(mean_score([s for s in scores if s.variant == v]) for v in present)
     return RegionsResult(tuple(scores), means)
+
+
+def plan_names(folder: Path) -> list[str]:
+    """Names of the plans that have a drawn segmentation.
+
+    Raises:
+        EvaluationError: there is none.
+    """
+    names = sorted(path.name.removesuffix(_TRUTH) for path in folder.glob(f"*{_TRUTH}"))
+    if not names:
+        raise EvaluationError(f"{folder}: holds no plan with a drawn segmentation (*{_TRUTH})")
+    return names
+
+
+def read_plan(
+    folder: Path, name: str, variant: str, resolution: float
+) -> tuple[GreyImage, Mask, LabelImage]:
+    """A plan as an image in black and white, where it is free without furniture, and its truth.
+
+    Raises:
+        EvaluationError: the truth is no image or does not fit.
+        MapError: the plan cannot be read.
+    """
+    path = folder / f"{name}{variant}.png"
+    free, empty = (
+        read_grid(p, resolution).occupancy[::-1] < 0.5 for p in (path, folder / f"{name}.png")
+    )
+    truth = _read_truth(folder / f"{name}{_TRUTH}", path, free.shape)
+    return np.where(free, np.uint8(255), np.uint8(0)), empty, truth
 
 
 def _compile() -> None:
@@ -161,7 +188,7 @@ def _score_plan(
     started = time.process_time()
     found = segment_grid(grid, config=config)
     seconds = time.process_time() - started
-    middles = _pixels(found, grid.occupancy.shape[0], resolution)
+    middles = pixels_of_gateways(found, grid.occupancy.shape[0], resolution)
     true_middles = true_gateways(truth, empty, resolution)
     if pictures is not None:
         _draw(Path(pictures), path.name, (truth, true_middles), found, empty, middles)
@@ -183,13 +210,14 @@ def _read_truth(path: Path, plan: Path, shape: tuple[int, ...]) -> LabelImage:
     return true_labels(np.asarray(drawing, np.uint8))
 
 
-def _pixels(found: Segmentation, height: int, resolution: float) -> FloatArray:
+def pixels_of_gateways(found: Segmentation, height: int, resolution: float) -> FloatArray:
     """Crossing points (n, 2) as pixels; the middle of the top left pixel is (0, 0)."""
     w_points = np.array([g.crossing_point for g in found.gateways]).reshape(-1, 2)
     return w_points / resolution * [1.0, -1.0] + [-0.5, height - 0.5]
 
 
-def _mean(scores: Sequence[PlanScore]) -> VariantScore:
+def mean_score(scores: Sequence[PlanScore]) -> VariantScore:
+    """Mean over plans of one variant."""
     gateways = sum((s.gateways for s in scores), GatewayScore(0, 0, 0))
     regions = [s.regions for s in scores]
     seconds = [s.seconds for s in scores]

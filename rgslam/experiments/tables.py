@@ -11,6 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from rgslam.experiments.changed_plans import ChangeScore
 from rgslam.experiments.depth_noise import DepthNoiseResult, DepthNoiseRow
 from rgslam.experiments.discretization import DiscretizationResult
 from rgslam.experiments.fusion import FusionResult
@@ -31,7 +32,7 @@ _FILE_WIDTH = 132  # columns: the widest table
 #: Columns of words; numbers stand to the right.
 _WORDS = {"size cm", "corners", "method", "question", "object", "rule", "answer"}
 _WORDS |= {"log", "run", "mapper", "world"}
-_WORDS |= {"figure", "plan", "peers, empty", "peers, furnished"}
+_WORDS |= {"change"}
 _WORDS |= {"run", "figure", "plan", "peers, empty", "peers, furnished"}
 
 
@@ -249,6 +250,35 @@ def print_regions(result: RegionsResult, console: Console | None = None) -> None
             for score in result.plans
         ],
     )
+
+
+def print_changed_plans(scores: Sequence[ChangeScore], console: Console | None = None) -> None:
+    """Print what turning, mirroring, rescaling and noise do to plans."""
+    _print(
+        console,
+        f"The same {scores[0].score.plans} plans changed; percent, and what is not as drawn",
+        ["change", "recall", "precision", "F1", "worst F1", "PQ", "gateways P", "R",
+         "plans with other regions", "regions", "gateways", "of", "widths"],
+        [
+            [
+                s.change,
+                *(
+                    f"{100 * share:.1f}"
+                    for share in (
+                        s.score.recall, s.score.precision, s.score.f1, s.worst_f1,
+                        s.score.panoptic_quality, s.score.gateway_precision,
+                        s.score.gateway_recall,
+                    )
+                ),
+                str(s.plans_with_other_regions),
+                str(s.regions_more_or_fewer),
+                str(s.gateways_lost_or_new),
+                str(s.gateways_kept),
+                str(s.widths_changed),
+            ]
+            for s in scores
+        ],
+    )  # fmt: skip
 
 
 def _region_figures(score: VariantScore) -> dict[str, str]:
