@@ -12,6 +12,7 @@ from scipy.special import ndtr
 from rgslam.camera import StereoCamera
 from rgslam.rectangles.detection import DetectedRectangle, detect_rectangles
 from rgslam.rectangles.frame_profiles import fit_steps, mean_profiles
+from rgslam.rectangles.side_faces import of_side_faces
 from rgslam.rectangles.thin_frames import OuterBorder, outer_border
 
 FINER = 8  # the drawing is averaged over so many pixels each way
@@ -152,3 +153,24 @@ def test_compiled_steps_against_numpy() -> None:
         np.testing.assert_allclose(found[s], expected, rtol=1e-6)
         assert (residuals[s] ** 2).sum() == pytest.approx(misfit[0])
         np.testing.assert_allclose(covariances[s], np.linalg.inv(basis.T @ basis), rtol=1e-6)
+
+
+def test_a_side_face_makes_the_frame_unsure_where_it_is_seen() -> None:
+    """A board 3 cm thick: from in front no side face shows, from beyond its right side that one."""
+
+    def seen(turn_deg: float) -> tuple[DetectedRectangle, np.ndarray]:
+        images = pair(0.015, 3.0, turn_deg, [80.0, 200.0])
+        (found,) = detect_rectangles(*images, CAMERA).rectangles
+        return found, of_side_faces(found, CAMERA)
+
+    assert not seen(0.0)[1].any()
+    found, added = seen(35.0)
+    eye = -found.rotation.T @ found.translation
+    side = 1 if eye[0] > 0.0 else 3
+    assert abs(eye[0]) > 0.5 * found.size[0]
+    # What 3 cm would show there, px, and half of that, or less as it is farther, at the other side
+    shown = 0.03 * (abs(eye[0]) - 0.5 * found.size[0]) / eye[2] * found.rotation[0, 0]
+    sigma = np.sqrt(np.diagonal(added[0]).reshape(4, 2)[:, 0])
+    there = sigma[[side, (side + 1) % 4]].mean()
+    assert shown * CAMERA.fx / 3.0 < there < 3.0 * shown * CAMERA.fx / 3.0
+    assert 0.25 * there < sigma[[(side + 2) % 4, (side + 3) % 4]].mean() < 0.5 * there

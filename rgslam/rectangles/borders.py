@@ -19,6 +19,7 @@ from rgslam.rectangles.maximum_likelihood import (
     corner_jacobians,
     fit_rectangles,
 )
+from rgslam.rectangles.side_faces import of_side_faces
 from rgslam.rectangles.thin_frames import outer_border
 from rgslam.rectangles.verification import LARGEST_COST
 from rgslam.types import FloatArray, GreyImage
@@ -128,8 +129,9 @@ def _with_frame(
     border = outer_border(images, _both(found), slopes)
     if border is None:
         return None
-    left_covariance = found.left_covariance + border.covariances[0]
-    right_covariance = found.right_covariance + border.covariances[1]
+    moved = border.covariances + of_side_faces(found, camera)
+    left_covariance = found.left_covariance + moved[0]
+    right_covariance = found.right_covariance + moved[1]
     measurements = CornerMeasurements.of(
         border.corners[0][None],
         left_covariance[None],

@@ -21,7 +21,8 @@ from rgslam.rectangles.faint_lines import mean_profile, step_sigma
 from rgslam.rectangles.gradients import GradientImage
 from rgslam.types import FloatArray
 
-_THICKEST = 0.06  # m, of what hangs on walls or stands on desks, and of casings
+#: m, of what hangs on walls or stands on desks, and of casings.
+THICKEST = 0.06
 _FARTHEST = 12.0  # px, wider ones show two lines
 _NEAREST = 2.0  # px, nearer ones are drawn into one edge
 _STEP, _FLANK = 0.5, 6  # px between samples; of these, from an edge to the valley beside it
@@ -60,7 +61,7 @@ def edges_beside(
         corners: (2, 4, 2), px, of a rectangle in either image, in order around.
         px_per_metre: At its distance, of what faces the camera.
     """
-    reach = min(_THICKEST * px_per_metre, _FARTHEST)
+    reach = min(THICKEST * px_per_metre, _FARTHEST)
     if reach < _NEAREST:
         return []
     found = []
