@@ -326,25 +326,31 @@ def _painted(mask: npt.NDArray[np.bool_], colour: str) -> npt.NDArray[np.uint8]:
 
 def _draw_regions(ax: Any, regions: Sequence[Region], colours: dict[int, str]) -> None:
     # Large ones first: a booth that stands in a hall must not disappear under it.
-    for region in sorted(regions, key=lambda region: (-region.area, region.id)):
-        colour = colours[region.id]
-        strong = darker(colour)
-        ax.add_collection(
-            PolyCollection([region.polygon], facecolors=colour, edgecolors="none", zorder=2),
-            autolim=False,
-        )
-        # Not filled: an outline may go around free space and other regions.
-        ax.add_collection(
-            PolyCollection(
-                region.objects_2d, facecolors="none", edgecolors=strong, linewidths=1.2, zorder=3.5
-            ),
-            autolim=False,
-        )
-        segments = [line.endpoints for line in region.line_segments]
-        ax.add_collection(
-            LineCollection(segments, colors=strong, linewidths=2.2, capstyle="round", zorder=5),
-            autolim=False,
-        )
+    ordered = sorted(regions, key=lambda region: (-region.area, region.id))
+    strong = {region.id: darker(colours[region.id]) for region in ordered}
+    floors = PolyCollection(
+        [region.polygon for region in ordered],
+        facecolors=[colours[region.id] for region in ordered],
+        edgecolors="none",
+        zorder=2,
+    )
+    # Not filled: an outline may go around free space and other regions.
+    objects = PolyCollection(
+        [outline for region in ordered for outline in region.objects_2d],
+        facecolors="none",
+        edgecolors=[strong[region.id] for region in ordered for _ in region.objects_2d],
+        linewidths=1.2,
+        zorder=3.5,
+    )
+    lines = LineCollection(
+        [line.endpoints for region in ordered for line in region.line_segments],
+        colors=[strong[region.id] for region in ordered for _ in region.line_segments],
+        linewidths=2.2,
+        capstyle="round",
+        zorder=5,
+    )
+    for collection in (floors, objects, lines):
+        ax.add_collection(collection, autolim=False)
 
 
 def _draw_rectangles(ax: Any, picture: Picture) -> None:
@@ -365,7 +371,7 @@ def _draw_gateways(ax: Any, gateways: Sequence[Gateway]) -> None:
     size = float(np.clip(_px_per_m(ax) / 35.0, 0.4, 1.0))
     halo = [patheffects.withStroke(linewidth=5.5 * size, foreground="white")]
     for gateway in gateways:
-        ax.plot(
+        line = Line2D(
             *gateway.points.T,
             color=GATEWAY_COLOURS[gateway.label],
             linewidth=3.2 * size,
@@ -377,6 +383,7 @@ def _draw_gateways(ax: Any, gateways: Sequence[Gateway]) -> None:
             path_effects=halo,
             zorder=6,
         )
+        ax.add_line(line)
 
 
 # --- Labels ---------------------------------------------------------------------------------------
@@ -460,7 +467,7 @@ def _write(
     x, y = to_w.transform(centre_px)
     if leader_to is not None:
         ends = to_w.transform(np.stack([centre_px, leader_to]))
-        ax.plot(*ends.T, color=colour, linewidth=0.7, zorder=7)
+        ax.add_line(Line2D(*ends.T, color=colour, linewidth=0.7, zorder=7))
     ax.text(
         x,
         y,

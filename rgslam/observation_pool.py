@@ -51,7 +51,7 @@ def observe_messages(
     Raises:
         CalibrationError: images that are not of their camera's size.
     """
-    workers = max(_usable_cores() - 1, 0) if workers is None else workers
+    workers = max(usable_cores() - 1, 0) if workers is None else workers
     clock = clock or StageClock()
     ahead: _Ahead = deque()
     pool: ProcessPoolExecutor | None = None
@@ -59,7 +59,7 @@ def observe_messages(
     try:
         for message in messages:
             if isinstance(message, StereoPair):
-                pool = pool or (_start(workers) if workers else None)
+                pool = pool or (start_processes(workers) if workers else None)
                 pairs += 1
                 ahead.append(_Job(pool, message, config))
             else:
@@ -120,14 +120,15 @@ def _next(ahead: _Ahead, clock: StageClock) -> ObservedMessage:
         return first.result()
 
 
-def _usable_cores() -> int:
+def usable_cores() -> int:
+    """Cores that the machine lets this process use."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # macOS
         return os.cpu_count() or 1
 
 
-def _start(workers: int) -> ProcessPoolExecutor:
+def start_processes(workers: int) -> ProcessPoolExecutor:
     """Processes that, unlike those of Python's own pool, leave the user's script alone.
 
     Python's would run it again up to its `if __name__ == "__main__"`, and fail where it has none.

@@ -31,6 +31,7 @@ from rgslam.map_files import (
 )
 from rgslam.map_folder import check_replaceable, write_folder
 from rgslam.map_json import decode_rg_map, encode_rg_map
+from rgslam.map_painter import MapPainter
 from rgslam.observations import PlacedFrame
 from rgslam.region_map import RegionMap
 from rgslam.types import (
@@ -165,12 +166,18 @@ class RGMap:
 
         return draw_map(self)
 
-    def save(self, folder: Path | str, extras: Mapping[str, bytes] | None = None) -> None:
+    def save(
+        self,
+        folder: Path | str,
+        extras: Mapping[str, bytes] | None = None,
+        painter: MapPainter | None = None,
+    ) -> None:
         """Write the map folder, whole or not at all; an earlier map there is replaced.
 
         Args:
             folder: where to.
             extras: more files (name -> content) to stand in it, such as the truth of a simulation.
+            painter: draws the picture meanwhile; None: it is drawn here.
 
         Raises:
             MapError: the folder holds what rgslam did not write, the machine refuses (full disk,
@@ -179,14 +186,14 @@ class RGMap:
         """
         extras = extras or {}
         check_replaceable(folder, {*MAP_FILES, *extras})  # before any work
-        write_folder(folder, {**self._files(), **extras})
+        write_folder(folder, {**self._files(painter or MapPainter()), **extras})
 
-    def _files(self) -> dict[str, bytes]:
-        from rgslam.drawing import draw_map
+    def _files(self, painter: MapPainter) -> dict[str, bytes]:
         from rgslam.export import encode_grid
         from rgslam.observation_file import encode_observations
         from rgslam.report import render_report
 
+        picture = painter.begin(self)
         image, settings = encode_grid(self.grid, "map.pgm")
         return {
             "observations.json": encode_observations(self.frames),
@@ -198,8 +205,8 @@ class RGMap:
             "map.yaml": settings,
             "config.yaml": self.config.to_yaml().encode("utf-8"),
             "run.json": _encode_run(self.run),
-            "map.png": draw_map(self),
             "report.html": render_report(self).encode("utf-8"),
+            "map.png": picture.png(),
         }
 
 

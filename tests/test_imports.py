@@ -27,6 +27,7 @@ READERS = {
     "export_recording",
     "metrics",
     "drawing",
+    "map_painter",
 }
 READERS |= {"recording_check", "datasets", "cli_output", "interrupt", "rg_map"}
 

@@ -77,14 +77,15 @@ def map_recording(
     from rgslam.cli_output import StageProgress, print_map_summary
     from rgslam.interrupt import StopOnInterrupt
     from rgslam.map_folder import check_replaceable
+    from rgslam.map_painter import MapPainter
     from rgslam.pipeline import build_map
     from rgslam.rg_map import MAP_FILES
 
     check_replaceable(out, MAP_FILES)
-    with StopOnInterrupt() as interrupt:
+    with StopOnInterrupt() as interrupt, MapPainter() as painter:
         with StageProgress() as progress:
             rg_map = build_map(run, settings, progress=progress.update, stop=interrupt.requested)
-        rg_map.save(out)
+        rg_map.save(out, painter=painter)
     print_map_summary(rg_map)
     _say_where(rg_map, out)
 
