@@ -10,13 +10,9 @@ the Atlas framework*, IJRR 2004): conservative, and a few milliseconds for thous
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from rgslam.types import FloatArray, IntArray, PoseEdge
 
@@ -33,7 +29,9 @@ class EdgeTable:
         self._ends = np.empty((64, 2), np.int64)
         self._poses = np.empty((64, 3))
         self._covariances = np.empty((64, 3, 3))
-        self._prepared: _Network | None = None
+        # Ways out of every keyframe as linked lists: way 2e leads along edge e, 2e + 1 against it
+        self._first = np.full(64, -1)  # by keyframe; -1 = none
+        self._next = np.empty((64, 2), np.int64)  # by edge and direction
 
     def add(self, edges: Sequence[PoseEdge]) -> None:
         """Append edges."""
@@ -42,11 +40,20 @@ class EdgeTable:
                 self._ends = np.concatenate([self._ends, self._ends])
                 self._poses = np.concatenate([self._poses, self._poses])
                 self._covariances = np.concatenate([self._covariances, self._covariances])
+                self._next = np.concatenate([self._next, self._next])
+            self._grow(max(edge.i, edge.j) + 1)
             self._ends[self._size] = edge.i, edge.j
             self._poses[self._size] = edge.iTj
             self._covariances[self._size] = edge.covariance
+            for way, start in enumerate((edge.i, edge.j)):
+                self._next[self._size, way] = self._first[start]
+                self._first[start] = 2 * self._size + way
             self._size += 1
-        self._prepared = None
+
+    def _grow(self, keyframes: int) -> None:
+        if keyframes > len(self._first):
+            more = max(keyframes, 2 * len(self._first)) - len(self._first)
+            self._first = np.concatenate([self._first, np.full(more, -1)])
 
     def relative_covariances(self, source: int, count: int) -> FloatArray:
         """Bounds on the covariance of every keyframe relative to one.
@@ -59,91 +66,99 @@ class EdgeTable:
             (count, 3, 3) in the tangent space at each keyframe, order x, y, theta; inf where no
             path leads.
         """
-        network = self._network(count)
-        distance, parents = dijkstra(
-            network.graph, directed=False, indices=source, return_predecessors=True
-        )
-        sequence = np.argsort(distance, kind="stable")
-        sequence = sequence[np.isfinite(distance[sequence])]
-        children = sequence[1:]
-        if not len(children):  # nothing is tied to it; SciPy looks nothing up in no places
-            alone = np.full((count, 3, 3), np.inf)
-            alone[source] = 0.0
-            return alone
-        mothers = parents[children]
-        forward = np.asarray(network.number[mothers, children]).ravel()
-        backward = np.asarray(network.number[children, mothers]).ravel()
-        use_forward = forward > 0
-        use_forward &= (backward == 0) | (
-            network.length[np.maximum(forward, 1).astype(np.int64) - 1]
-            <= network.length[np.maximum(backward, 1).astype(np.int64) - 1]
-        )
-        edge = np.where(use_forward, forward, backward).astype(np.int64) - 1
-        return _propagate(
-            count, source, children, mothers, edge, use_forward, network.poses, network.covariances
-        )
-
-    def _network(self, count: int) -> _Network:
-        """The edges as a sparse graph, made anew when one was added."""
-        if self._prepared is None or self._prepared.graph.shape[0] != count:
-            held = slice(self._size)
-            self._prepared = _Network.of(
-                self._ends[held], self._poses[held], self._covariances[held], count
-            )
-        return self._prepared
-
-
-@dataclass(frozen=True, eq=False)
-class _Network:
-    """Edges by number; of parallel ones the best leads."""
-
-    graph: csr_array  # (count, count), length of an edge
-    number: csr_array  # (count, count), number of an edge + 1
-    length: FloatArray  # (n,), m^2
-    poses: FloatArray  # (n, 3)
-    covariances: FloatArray  # (n, 3, 3)
-
-    @classmethod
-    def of(cls, ends: IntArray, poses: FloatArray, covariances: FloatArray, count: int) -> _Network:
-        length = covariances[:, 0, 0] + covariances[:, 1, 1] + _LEVER**2 * covariances[:, 2, 2]
-        order = np.argsort(length, kind="stable")
-        _, first = np.unique((ends[:, 0] * count + ends[:, 1])[order], return_index=True)
-        keep = order[first]
-        where = (ends[keep, 0], ends[keep, 1])
-        graph = coo_array((length[keep], where), shape=(count, count)).tocsr()
-        number = coo_array((keep + 1.0, where), shape=(count, count)).tocsr()
-        return cls(graph, number, length, poses, covariances)
+        self._grow(count)
+        return _along_shortest_paths(
+            source, count, self._first, self._next, self._ends, self._poses, self._covariances,
+            self._size,
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def _propagate(
-    count: int,
+def _along_shortest_paths(
     source: int,
-    children: IntArray,
-    mothers: IntArray,
-    edge: IntArray,
-    forward: npt.NDArray[np.bool_],
+    count: int,
+    first: IntArray,
+    following: IntArray,
+    ends: IntArray,
     poses: FloatArray,
     covariances: FloatArray,
+    size: int,
 ) -> FloatArray:
+    """Covariances (count, 3, 3) along the paths that Dijkstra's algorithm finds."""
     result = np.empty((count, 3, 3))
     for k in range(count):
         for m in range(9):
             result[k, m // 3, m % 3] = 0.0 if k == source else np.inf
-    for k in range(len(children)):
-        x, y, theta = poses[edge[k], 0], poses[edge[k], 1], poses[edge[k], 2]
-        c, s = np.cos(theta), np.sin(theta)
-        if forward[k]:  # the edge is mother_T_child, its covariance lives at the child
-            x, y, s = -c * x - s * y, s * x - c * y, -s
-        child, step = result[children[k]], covariances[edge[k]]
-        for m in range(9):
-            a, b = m // 3, m % 3
-            # A backward edge is child_T_mother, its covariance lives at the mother
-            child[a, b] = result[mothers[k], a, b] + (0.0 if forward[k] else step[a, b])
-        _carry(child, x, y, c, s)
-        for m in range(9):
-            child[m // 3, m % 3] += step[m // 3, m % 3] if forward[k] else 0.0
+    distance, reached_by = np.full(count, np.inf), np.full(count, -1)
+    settled = np.zeros(count, np.bool_)
+    keys, heap = np.empty(2 * size + 1), np.empty(2 * size + 1, np.int64)
+    keys[0], heap[0], waiting = 0.0, source, 1
+    distance[source] = 0.0
+    while waiting:
+        node = heap[0]
+        waiting -= 1
+        _sink(keys, heap, waiting)
+        if settled[node]:
+            continue
+        settled[node] = True
+        if node != source:
+            edge, back = reached_by[node] // 2, reached_by[node] % 2
+            _step(result[ends[edge, back]], poses[edge], covariances[edge], back == 0, result[node])
+        way = first[node]
+        while way >= 0:
+            edge, back = way // 2, way % 2
+            far = ends[edge, 1 - back]
+            S = covariances[edge]
+            length = distance[node] + S[0, 0] + S[1, 1] + _LEVER**2 * S[2, 2]
+            if far < count and length < distance[far]:
+                distance[far], reached_by[far] = length, way
+                _rise(keys, heap, waiting, length, far)
+                waiting += 1
+            way = following[edge, back]
     return result
+
+
+@njit(cache=True, nogil=True)
+def _rise(keys: FloatArray, heap: IntArray, size: int, key: float, value: int) -> None:
+    """Put a value into a binary heap of that size, the smallest key first."""
+    k = size
+    while k > 0 and keys[(k - 1) // 2] > key:
+        keys[k], heap[k] = keys[(k - 1) // 2], heap[(k - 1) // 2]
+        k = (k - 1) // 2
+    keys[k], heap[k] = key, value
+
+
+@njit(cache=True, nogil=True)
+def _sink(keys: FloatArray, heap: IntArray, size: int) -> None:
+    """Close the gap at the top with the last entry, which stands at `size`."""
+    key, value, k = keys[size], heap[size], 0
+    while 2 * k + 1 < size:
+        child = 2 * k + 1
+        if child + 1 < size and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[k], heap[k] = keys[child], heap[child]
+        k = child
+    keys[k], heap[k] = key, value
+
+
+@njit(cache=True, nogil=True)
+def _step(
+    mother: FloatArray, pose: FloatArray, step: FloatArray, forward: bool, child: FloatArray
+) -> None:
+    """Write the covariance at the far end of an edge."""
+    x, y, c, s = pose[0], pose[1], np.cos(pose[2]), np.sin(pose[2])
+    if forward:  # the edge is mother_T_child, its covariance lives at the child
+        x, y, s = -c * x - s * y, s * x - c * y, -s
+    for m in range(9):
+        a, b = m // 3, m % 3
+        # A backward edge is child_T_mother, its covariance lives at the mother
+        child[a, b] = mother[a, b] + (0.0 if forward else step[a, b])
+    _carry(child, x, y, c, s)
+    if forward:
+        for m in range(9):
+            child[m // 3, m % 3] += step[m // 3, m % 3]
 
 
 @njit(cache=True, nogil=True)
