@@ -10,8 +10,11 @@ who walked by is outvoted by the beams that passed before and after.
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
@@ -25,16 +28,22 @@ from rgslam.types import FloatArray, LaserScan, OccupancyGrid, ProgressCallback
 log = logging.getLogger(__name__)
 
 #: Scans per call of the kernel: often enough for a progress bar, seldom enough to cost nothing.
-_SCANS_PER_REPORT = 512
+_SCANS_PER_CHUNK = 512
+#: Threads that count beams; each has counts of its own.
+_THREADS = 2
 
 
-@nb.njit(cache=True)
+#: What a beam says: nothing, nothing met up to its end, an obstacle at its end.
+_NOTHING, _FREE, _HIT = 0, 1, 2
+
+
+@nb.njit(cache=True, nogil=True)
 def cast_beams(
     hits: npt.NDArray[np.uint32],
     passes: npt.NDArray[np.uint32],
     origins: FloatArray,
     ends: FloatArray,
-    is_hit: npt.NDArray[np.bool_],
+    kinds: npt.NDArray[np.uint8],
     shy: float,
 ) -> None:
     """Count hits and passes of beams, in place.
@@ -42,22 +51,27 @@ def cast_beams(
     Args:
         hits: (H, W), beams that ended in the cell.
         passes: (H, W), beams that went through the cell.
-        origins: (n, 2), x, y in cells.
-        ends: (n, 2), x, y in cells.
-        is_hit: (n,), whether the beam ended at an obstacle.
+        origins: (n, 2), x, y of each scan in cells.
+        ends: (n, m, 2), x, y of its beams in cells.
+        kinds: (n, m), what each beam says.
         shy: length before a hit that counts as neither, cells: the end of a beam is not sure enough
             to call the cell in front of the wall free, and a wall seen at a grazing angle would
             be eaten by the beams that end a little further along it.
     """
     height, width = hits.shape
-    for i in range(len(origins)):
+    beams = kinds.shape[1]
+    for k in range(kinds.size):
+        i, j = k // beams, k % beams
+        if kinds[i, j] == _NOTHING:
+            continue
+        is_hit = kinds[i, j] == _HIT
         x0, y0 = origins[i, 0], origins[i, 1]
-        dx, dy = ends[i, 0] - x0, ends[i, 1] - y0
+        dx, dy = ends[i, j, 0] - x0, ends[i, j, 1] - y0
         length = np.hypot(dx, dy)
-        end_col, end_row = int(np.floor(ends[i, 0])), int(np.floor(ends[i, 1]))
-        if is_hit[i] and 0 <= end_row < height and 0 <= end_col < width:
+        end_col, end_row = int(np.floor(ends[i, j, 0])), int(np.floor(ends[i, j, 1]))
+        if is_hit and 0 <= end_row < height and 0 <= end_col < width:
             hits[end_row, end_col] += 1
-        reach = length - shy if is_hit[i] else length
+        reach = length - shy if is_hit else length
         if reach <= 0.0 or length == 0.0:
             continue
         ux, uy = dx / length, dy / length
@@ -101,21 +115,40 @@ def _mountings(scans: Sequence[LaserScan], wTb: FloatArray) -> FloatArray:
     return compose(wTb, np.array([s.bTl for s in scans], float).reshape(-1, 3))
 
 
-def _beams(
-    scans: Sequence[LaserScan], wTl: FloatArray, reach: float
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Origins and ends (n, 2) in w, and hit flags, of the beams of scans that say something."""
-    counts = [len(s.ranges) for s in scans]
-    ranges = np.concatenate([s.ranges for s in scans])
-    headings = np.concatenate([s.angles for s in scans]) + np.repeat(wTl[:, 2], counts)
-    origins = np.repeat(wTl[:, :2], counts, axis=0)
-    hit = np.isfinite(ranges)
-    known = hit | np.isposinf(ranges)
-    lengths, headings = np.where(hit, ranges, reach)[known], headings[known]
-    ends = np.empty((len(lengths), 2))
-    ends[:, 0] = origins[known, 0] + lengths * np.cos(headings)
-    ends[:, 1] = origins[known, 1] + lengths * np.sin(headings)
-    return origins[known], ends, hit[known]
+@dataclass(frozen=True, eq=False)
+class _Sweeps:
+    """Scans of equally many beams at their poses."""
+
+    origins: FloatArray  # (n, 2), w
+    ends: FloatArray  # (n, m, 2), w
+    kinds: npt.NDArray[np.uint8]  # (n, m)
+
+    @classmethod
+    def of(cls, scans: Sequence[LaserScan], wTl: FloatArray, reach: float) -> _Sweeps:
+        ranges = np.array([scan.ranges for scan in scans])
+        headings = np.array([scan.angles for scan in scans]) + wTl[:, 2:]
+        hit = np.isfinite(ranges)
+        kinds = np.where(hit, _HIT, np.where(np.isposinf(ranges), _FREE, _NOTHING))
+        lengths = np.where(hit, ranges, reach)
+        ends = np.empty((*ranges.shape, 2))
+        ends[..., 0] = wTl[:, :1] + lengths * np.cos(headings)
+        ends[..., 1] = wTl[:, 1:2] + lengths * np.sin(headings)
+        return cls(wTl[:, :2].copy(), ends, kinds.astype(np.uint8))
+
+    def hit_points(self) -> FloatArray:
+        """Where beams met something, (h, 2)."""
+        return self.ends[self.kinds == _HIT]
+
+
+def _chunks(scans: Sequence[LaserScan]) -> list[slice]:
+    """Runs of scans of equally many beams, short enough for a progress bar."""
+    counts = np.array([len(scan.ranges) for scan in scans])
+    starts = np.flatnonzero(np.diff(counts, prepend=-1)).tolist()
+    return [
+        slice(k, min(k + _SCANS_PER_CHUNK, end))
+        for start, end in itertools.pairwise([*starts, len(scans)])
+        for k in range(start, end, _SCANS_PER_CHUNK)
+    ]
 
 
 def _extent(
@@ -183,29 +216,57 @@ def build_occupancy_grid(
     scans, wTb = [scans[i] for i in usable], wTb[usable]
     reach = no_return_reach(scans, config.no_return_quantile)
     wTl = _mountings(scans, wTb)
-    chunks = [slice(k, k + _SCANS_PER_REPORT) for k in range(0, len(scans), _SCANS_PER_REPORT)]
-    beams = [_beams(scans[c], wTl[c], reach) for c in chunks]
-    hit_points = np.concatenate([ends[hit] for _, ends, hit in beams])
-    lower, upper = _extent(wTb, hit_points, 2 * config.resolution, config.extent_quantile)
+    chunks = _chunks(scans)
+    with ThreadPoolExecutor(_THREADS, "grid") as pool:
+        sweeps = list(pool.map(lambda c: _Sweeps.of(scans[c], wTl[c], reach), chunks))
+        hit_points = np.concatenate(list(pool.map(_Sweeps.hit_points, sweeps)))
+        lower, upper = _extent(wTb, hit_points, 2 * config.resolution, config.extent_quantile)
     origin = np.floor(lower / config.resolution) * config.resolution
     shape = _allocate(origin, upper, config)
-    hits, passes = np.zeros(shape, np.uint32), np.zeros(shape, np.uint32)
-    shy = max(config.end_uncertainty / config.resolution, 0.5)
-    for chunk, (origins, ends, hit) in zip(chunks, beams, strict=True):
-        origins -= origin
-        origins /= config.resolution
-        ends -= origin
-        ends /= config.resolution
-        cast_beams(hits, passes, origins, ends, hit, shy)
-        if progress:
-            progress("occupancy grid", min(chunk.stop, len(scans)), len(scans))
-    inside = np.ones(len(hit_points), bool)
-    for k in range(2):
-        inside &= (hit_points[:, k] >= origin[k]) & (hit_points[:, k] <= upper[k])
-    outside = 1.0 - inside.mean() if len(inside) else 0.0
-    if outside > 0.0:
+    counts = _Counts(shape, origin, config)
+    # Where most of a large building is empty, a second set of counts would cost more than it saves
+    large = 2 * np.dtype(np.uint32).itemsize * shape[0] * shape[1] > sum(
+        sweep.ends.nbytes for sweep in sweeps
+    )
+    with ThreadPoolExecutor(1 if large else _THREADS, "grid") as pool:
+        for chunk, _ in zip(chunks, pool.map(counts.add, sweeps), strict=True):
+            if progress:
+                progress("occupancy grid", chunk.stop, len(scans))
+    hits, passes = counts.sums()
+    outside = 1.0 - int(hits.sum(dtype=np.int64)) / max(len(hit_points), 1)
+    if len(hit_points) and outside > 0.0:
         log.info("%.2f %% of the end points are stray and lie outside the grid", 100.0 * outside)
     return OccupancyGrid(occupancy_of(hits, passes, config.hit_weight), config.resolution, origin)
+
+
+class _Counts:
+    """Hits and passes (H, W) that threads count, in any order: whole numbers add up the same."""
+
+    def __init__(
+        self, shape: tuple[int, int], origin: FloatArray, config: OccupancyGridConfig
+    ) -> None:
+        self._shape, self._origin, self._resolution = shape, origin, config.resolution
+        self._shy = max(config.end_uncertainty / config.resolution, 0.5)
+        self._free: list[npt.NDArray[np.uint32]] = []  # (2, H, W) each, not in use
+
+    def add(self, sweeps: _Sweeps) -> None:
+        """Count the beams of some scans; their places are turned into cells."""
+        for places in (sweeps.origins, sweeps.ends):
+            places -= self._origin
+            places /= self._resolution
+        try:
+            counts = self._free.pop()  # as a whole, whatever other threads do
+        except IndexError:
+            counts = np.zeros((2, *self._shape), np.uint32)
+        cast_beams(counts[0], counts[1], sweeps.origins, sweeps.ends, sweeps.kinds, self._shy)
+        self._free.append(counts)
+
+    def sums(self) -> npt.NDArray[np.uint32]:
+        """Hits and passes (2, H, W) of all threads."""
+        first, *others = self._free
+        for counts in others:
+            first += counts
+        return first
 
 
 def occupancy_of(
