@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import median
@@ -112,7 +114,11 @@ class LocalMap:
         self._lever = float(np.median(offsets.max(axis=1)))
 
     def match(
-        self, scan: ScanPoints, start: FloatArray, odometry: Motion, habit: Motion
+        self,
+        scan: ScanPoints,
+        start: FloatArray,
+        odometry: Motion,
+        habit: Callable[[], Motion],
     ) -> LocalMatch:
         """Align a scan.
 
@@ -124,7 +130,7 @@ class LocalMap:
             scan: its points.
             start: (3,), wTb of the scan before.
             odometry: what the wheels say of the motion since.
-            habit: the motion if the robot went on as before.
+            habit: gives the motion if the robot went on as before.
 
         Returns:
             The aligned pose, or the predicted one when too little of the scan is known here.
@@ -132,7 +138,7 @@ class LocalMap:
         prediction = compose(start, odometry.bTc)
         best = self._align(scan, start, odometry)
         if best.inliers < self._config.doubtful_inliers:
-            other = self._align(scan, start, habit)
+            other = self._align(scan, start, habit())
             best = other if other.inliers > best.inliers + _CLEARLY_BETTER else best
         if best.inliers < self._config.min_inliers:
             return LocalMatch.predicted(prediction, best.inliers, False)
@@ -197,7 +203,8 @@ class LocalMap:
 
     def _within_reach(self, moved: FloatArray) -> bool:
         """Whether a correction moves most of what is seen by less than half the gate."""
-        return bool(np.hypot(moved[0], moved[1]) + self._lever * abs(moved[2]) < 0.5 * self._reach)
+        x, y, turn = moved.tolist()
+        return math.hypot(x, y) + self._lever * abs(turn) < 0.5 * self._reach
 
     def _register(
         self, scan: ScanPoints, guess: FloatArray, prediction: FloatArray, covariance: FloatArray
@@ -247,7 +254,8 @@ def _doubt(error: FloatArray, covariance: FloatArray) -> float:
 
 def is_keyframe(lTb: FloatArray, config: ScanMatchingConfig) -> bool:
     """Whether a motion (3,) since the last keyframe is far enough for a new one."""
-    return bool(
-        np.hypot(lTb[0], lTb[1]) > config.keyframe_distance
-        or abs(lTb[2]) > np.radians(config.keyframe_angle_deg)
+    x, y, turn = lTb.tolist()
+    return (
+        math.hypot(x, y) > config.keyframe_distance
+        or math.degrees(abs(turn)) > config.keyframe_angle_deg
     )

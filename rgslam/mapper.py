@@ -8,6 +8,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from typing import TYPE_CHECKING
@@ -152,16 +154,16 @@ class Mapper:
 
     def _add_scan(self, scan: LaserScan, oTb: FloatArray | None) -> StepResult:
         # Where the robot should be, by odometry or, without it, by the speed it had
-        odometry, habit = self._predict(scan, oTb)
+        odometry = self._predict(scan, oTb)
 
         # Align the scan with the newest keyframes (Gutmann & Konolige 1999, local registration)
         with self.clock.stage("matching"):
             points = self._points_of(scan)
-            match = self._match(points, odometry, habit)
+            match = self._match(points, odometry, lambda: self._habit(scan))
 
         # Remember it, and make it a keyframe when it shows something new
         self._remember(scan, oTb, odometry, match)
-        if points is None or not self._is_news(points, match):
+        if points is None or not self._is_news():
             return StepResult(scan.stamp, self._wTb.copy(), match.trusted, None)
         number = self._add_keyframe(points, match)
 
@@ -179,23 +181,25 @@ class Mapper:
 
     # --- The pieces of a step ------------------------------------------------------------------
 
-    def _predict(self, scan: LaserScan, oTb: FloatArray | None) -> tuple[Motion, Motion]:
-        """The motion since the last scan by odometry, and by going on as before.
-
-        Without odometry both are the same.
-        """
+    def _predict(self, scan: LaserScan, oTb: FloatArray | None) -> Motion:
+        """The motion since the last scan by odometry or, without it, by going on as before."""
         if self._last is None:
-            return Motion(np.zeros(3), _STANDING), Motion(np.zeros(3), _STANDING)
-        last_scan, last_oTb = self._last
+            return Motion(np.zeros(3), _STANDING)
+        last_oTb = self._last[1]
+        if oTb is None or last_oTb is None:
+            return self._habit(scan)
+        motion = self._wheels.corrected(between(last_oTb, oTb))
+        return Motion(motion, self._wheels.covariance(motion) + _STANDING)
+
+    def _habit(self, scan: LaserScan) -> Motion:
+        """The motion since the last scan if the robot went on as before."""
+        if self._last is None:
+            return Motion(np.zeros(3), _STANDING)
         # Stamps may stand still or jump: a step lasts as long as usual then
-        seconds = scan.stamp - last_scan.stamp
+        seconds = scan.stamp - self._last[0].stamp
         usual = self._step_seconds if self._step_seconds > 0.0 else 0.1
         seconds = seconds if 0.0 < seconds < 5.0 * usual else usual
-        habit = Motion(self._velocity * (seconds / usual), constant_velocity_covariance(seconds))
-        if oTb is None or last_oTb is None:
-            return habit, habit
-        motion = self._wheels.corrected(between(last_oTb, oTb))
-        return Motion(motion, self._wheels.covariance(motion) + _STANDING), habit
+        return Motion(self._velocity * (seconds / usual), constant_velocity_covariance(seconds))
 
     def _points_of(self, scan: LaserScan) -> ScanPoints | None:
         """Points of the scan, or None when it comes from another scanner or sees nothing."""
@@ -209,7 +213,9 @@ class Mapper:
         points = scan_points(scan.ranges, self._geometry, self._local_map.sigma)
         return points if np.count_nonzero(points.classes == SURFACE) >= 3 else None
 
-    def _match(self, points: ScanPoints | None, odometry: Motion, habit: Motion) -> LocalMatch:
+    def _match(
+        self, points: ScanPoints | None, odometry: Motion, habit: Callable[[], Motion]
+    ) -> LocalMatch:
         if points is None or not len(self._poses):
             prediction = compose(self._wTb, odometry.bTc)
             return LocalMatch.predicted(prediction, 0.0, points is not None)
@@ -220,18 +226,18 @@ class Mapper:
     ) -> None:
         A = adjoint(inverse(odometry.bTc))
         self._since_keyframe = A @ self._since_keyframe @ A.T + odometry.covariance * match.doubt
-        self._path += float(np.hypot(*between(self._wTb, match.wTb)[:2]))
+        step = between(self._wTb, match.wTb)
+        self._path += math.hypot(*step[:2].tolist())
         if self._last is not None:
-            self._velocity = between(self._wTb, match.wTb)
+            self._velocity = step
             seconds = scan.stamp - self._last[0].stamp
             self._step_seconds = seconds if seconds > 0.0 else self._step_seconds
         self._wTb = np.asarray(match.wTb, float).copy()
         self._last = (scan, oTb)
         self._track.scans.append(scan)
         self._track.keyframe.append(max(len(self._poses) - 1, 0))
-        self._track.kTb.append(
-            between(self._poses[-1], self._wTb) if len(self._poses) else self._wTb
-        )
+        kTb = between(self._poses[-1], self._wTb) if len(self._poses) else self._wTb
+        self._track.kTb.append(kTb)
         self._track.predicted_only += not match.trusted
         self._frames.add_scan(
             ScanPlace(
@@ -245,10 +251,10 @@ class Mapper:
             )
         )
 
-    def _is_news(self, points: ScanPoints, match: LocalMatch) -> bool:
+    def _is_news(self) -> bool:
         if not len(self._poses):
             return True
-        return is_keyframe(between(self._poses[-1], match.wTb), self.config.scan_matching)
+        return is_keyframe(self._track.kTb[-1], self.config.scan_matching)
 
     def _add_keyframe(self, points: ScanPoints, match: LocalMatch) -> int:
         number = self._store.append(points)
