@@ -217,8 +217,12 @@ def build_occupancy_grid(
     reach = no_return_reach(scans, config.no_return_quantile)
     wTl = _mountings(scans, wTb)
     chunks = _chunks(scans)
+
+    def sweep_of(chunk: slice) -> _Sweeps:
+        return _Sweeps.of(scans[chunk], wTl[chunk], reach)
+
     with ThreadPoolExecutor(_THREADS, "grid") as pool:
-        sweeps = list(pool.map(lambda c: _Sweeps.of(scans[c], wTl[c], reach), chunks))
+        sweeps = list(pool.map(sweep_of, chunks))
         hit_points = np.concatenate(list(pool.map(_Sweeps.hit_points, sweeps)))
         lower, upper = _extent(wTb, hit_points, 2 * config.resolution, config.extent_quantile)
     origin = np.floor(lower / config.resolution) * config.resolution
