@@ -70,7 +70,7 @@ class LocalMatch:
 
     wTb: FloatArray  # (3,)
     registration: Registration | None  # None: not trusted
-    correlation: float  # beams that count as one
+    variance_factor: float  # of a scan's error, relative to independent beams of sigma
     inliers: float  # share of the surface points that found a partner
     trusted: bool  # False: too few points agree, wTb is the prediction
     doubt: float  # factor by which the covariance of the prediction was too small, at least 1
@@ -80,7 +80,7 @@ class LocalMatch:
         """(3, 3), of the laser alone against the newest keyframes as a whole, at wTb."""
         if self.registration is None:
             return np.zeros((3, 3))
-        return self.registration.information / self.correlation
+        return self.registration.information / self.variance_factor
 
     @classmethod
     def predicted(cls, wTb: FloatArray, inliers: float, trusted: bool) -> LocalMatch:
@@ -97,6 +97,8 @@ class LocalMap:
         self._surfels: SurfelMap | None = None
         self._residuals: deque[float] = deque(maxlen=_NOISE_MATCHES)
         self._correlation = BeamCorrelation()
+        self._scatters: deque[float] = deque(maxlen=_NOISE_MATCHES)
+        self._scatter = 1.0  # variance that distances to lines show, relative to sigma^2
         self._inliers: deque[float] = deque(maxlen=_NOISE_MATCHES)
         self._usual_inliers = 1.0  # what scans have here; nothing is usual yet
         self._reach = 4.0 * config.resolution  # m, first gate: registration finds no farther
@@ -143,9 +145,10 @@ class LocalMap:
         if best.inliers < self._config.min_inliers:
             return LocalMatch.predicted(prediction, best.inliers, False)
         self._residuals.append(best.residual)
+        self._scatters.append(best.scatter * self.sigma**2)
         self._inliers.append(best.inliers)
         doubt = _doubt(between(prediction, best.wTb), odometry.covariance)
-        return LocalMatch(best.wTb, best, self._correlation.factor, best.inliers, True, doubt)
+        return LocalMatch(best.wTb, best, self.variance_factor, best.inliers, True, doubt)
 
     def learn(self, scan: ScanPoints, wTb: FloatArray) -> None:
         """Take a scan that becomes a keyframe as a sample of how beams err."""
@@ -168,7 +171,8 @@ class LocalMap:
             None when only the neighbour or nothing does.
         """
         newest = len(poses) - 1
-        for back in (self._config.local_keyframes, self._config.local_keyframes // 2):
+        for share in (1, 2, 4):
+            back = self._config.local_keyframes // share
             old = max(newest - back, 0)
             if newest - old < 2:
                 continue
@@ -181,9 +185,12 @@ class LocalMap:
         return None
 
     @property
-    def correlation(self) -> float:
-        """Neighbouring beams that err alike and count as one."""
-        return self._correlation.factor
+    def variance_factor(self) -> float:
+        """How much larger the variance of a scan's pose is than that of independent beams of sigma.
+
+        Neighbouring beams err alike and count as one; sigma is wider than what most beams show.
+        """
+        return self._correlation.factor * self._scatter
 
     def _align(self, scan: ScanPoints, start: FloatArray, motion: Motion) -> Registration:
         """Least squares from the prediction, or from the basin that correlation finds.
@@ -243,6 +250,7 @@ class LocalMap:
         """The noise of the scanner and of the walls is what good matches leave over."""
         if len(self._residuals) >= _NOISE_MATCHES // 4:
             self.sigma = max(_RESIDUAL_TO_SIGMA * median(self._residuals), _LEAST_SIGMA)
+            self._scatter = median(self._scatters) / self.sigma**2
             self._gates = gate_schedule(self._reach, self.sigma)
             self._usual_inliers = sorted(self._inliers)[int(_UNUSUAL * len(self._inliers))]
 

@@ -319,7 +319,7 @@ class Mapper:
             self._poses,
             np.fromiter(self._keyframe_path, float, len(self._keyframe_path)),
             self._local_map.sigma,
-            self._local_map.correlation,
+            self._local_map.variance_factor,
         )
 
     def _settle(self, loops: list[LoopCandidate]) -> None:

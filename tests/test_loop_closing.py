@@ -134,7 +134,7 @@ def proposed(view: MapView, off: FloatArray, covariance: FloatArray) -> tuple[Lo
     """The loop of the last keyframe to the first visit, the second one being drifted by `off`."""
     truth = view.poses
     drifted = np.vstack([truth[:8], compose(off, truth[8:])])
-    view = MapView(view.store, drifted, view.path, view.sigma, view.beam_correlation)
+    view = MapView(view.store, drifted, view.path, view.sigma, view.variance_factor)
     chunk = np.array([3, 0, 1, 2, 4, 5, 6, 7])
     return propose_loop(view, 15, np.arange(8, 16), chunk, covariance, CONFIG), 3
 

@@ -340,3 +340,17 @@ def test_a_store_grows_and_keeps_what_it_had() -> None:
     for index, scan in enumerate((first, second, first)):
         np.testing.assert_array_equal(store.scan(index).points, scan.points)
         np.testing.assert_array_equal(store.scan(index).normals, scan.normals)
+
+
+def test_a_wall_along_the_border_of_cells_is_one_wall() -> None:
+    """Noise puts it into two rows of cells; the surfels of both lie on the wall all the same."""
+    rng = np.random.default_rng(1)
+    n = 4000
+    points = np.column_stack([rng.uniform(0.0, 5.0, n), rng.normal(0.0, NOISE, n)])
+    points = np.vstack([points, [[0.0, -1.0], [0.0, 1.0]]])  # a border of cells is at 0
+    normals = np.tile([0.0, 1.0], (n + 2, 1))
+    classes = np.full(n + 2, SURFACE, np.uint8)
+    surfels = build_surfel_map(points, normals, np.full(n + 2, 1e-4), classes, 0.05).surfels
+    off = surfels.points[np.abs(surfels.points[:, 1]) < 0.1, 1]
+    assert len(off) > 150  # two rows of 100 cells, but where no point fell into one
+    assert np.sqrt(np.mean(off**2)) < 0.3 * NOISE  # each row alone is off by 0.8 sigma

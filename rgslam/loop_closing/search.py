@@ -77,7 +77,7 @@ class MapView:
     poses: FloatArray  # (K, 3), wTb of the keyframes
     path: FloatArray  # (K,), m travelled at each keyframe
     sigma: float  # m, noise of a point across its line
-    beam_correlation: float  # neighbouring beams that err alike
+    variance_factor: float  # of a scan's error, relative to independent beams of sigma
 
 
 def old_chunks(
@@ -212,7 +212,7 @@ def open_axes_as_predicted(
 def _loop_covariance(information: FloatArray, view: MapView) -> FloatArray:
     """Covariance of a registered loop: the old keyframes err as the new one does."""
     vague = np.diag([1e-2, 1e-2, 1e-2])  # 10 m, 10 rad: what no wall holds is left open
-    covariance = np.linalg.inv(information / (2.0 * view.beam_correlation) + vague)
+    covariance = np.linalg.inv(information / (2.0 * view.variance_factor) + vague)
     return np.asarray(covariance, np.float64)
 
 

@@ -25,32 +25,27 @@ class Registration:
     """A scan aligned with a surfel map."""
 
     wTb: FloatArray  # (3,)
-    raw_information: FloatArray  # (3, 3), less what noisy normals pretend: may be indefinite
+    normal_matrix: FloatArray  # (3, 3), of the least squares, in units of information
+    normal_noise: FloatArray  # (3, 3), what noisy normals add to it on average
     inliers: float  # share of the surface points that found a partner, 0..1
     residual: float  # m, robust RMS distance to the lines; inf = too few partners
+    scatter: float  # variance that the distances show, relative to sigma^2
 
     @cached_property
     def information(self) -> FloatArray:
         """(3, 3), of the match alone, in the tangent space at wTb: x, y, theta.
 
-        Where the noise of the normals exceeds what an axis is known by, as along a bare hallway,
-        the axis is not known at all.
+        Noisy normals (errors in variables) pretend to know the way along a wall. Without them the
+        normal matrix H would be H - N. The gradient scatters as H says, so the errors of the
+        solution have the covariance (H - N)^-1 H (H - N)^-1. Where N exceeds what an axis is known
+        by, as along a bare hallway, the axis is not known at all.
         """
-        if _positive_definite(*self.raw_information.tolist()):
-            return self.raw_information
-        values, vectors = np.linalg.eigh(self.raw_information)
-        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, np.float64)
-
-
-def _positive_definite(x: list[float], y: list[float], t: list[float]) -> bool:
-    """Sylvester's criterion on the rows; ten times as fast as the eigenvalues."""
-    minor = x[0] * y[1] - x[1] * y[0]
-    det = (
-        x[0] * (y[1] * t[2] - y[2] * t[1])
-        - x[1] * (y[0] * t[2] - y[2] * t[0])
-        + x[2] * (y[0] * t[1] - y[1] * t[0])
-    )
-    return x[0] > 0.0 and minor > 0.0 and det > 0.0
+        root = np.linalg.cholesky(self.normal_matrix + _NOTHING)
+        inverse = np.linalg.inv(root)
+        # H = L L^T, so what is left of an axis is a share of 1
+        values, vectors = np.linalg.eigh(inverse @ self.normal_noise @ inverse.T)
+        left = root @ (vectors * np.maximum(1.0 - values, 0.0))
+        return np.asarray(left @ left.T, np.float64)
 
 
 def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArray:
@@ -61,6 +56,8 @@ def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArra
 
 #: Keeps the system solvable along a featureless hallway: 10 m and 10 rad of vague knowledge.
 _VAGUE = np.diag([1e-2, 1e-2, 1e-2])
+#: The same for what is only looked at: 1 km.
+_NOTHING = np.diag([1e-6, 1e-6, 1e-6])
 
 
 def register(
@@ -148,19 +145,20 @@ def _normal_equations(
     surfels: Surfels,
     sigma: float,
     gate: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, int, float, float]:
-    """H, its noise, b, matches, weights, squares for a right perturbation of the pose.
+) -> tuple[FloatArray, FloatArray, FloatArray, int, FloatArray]:
+    """H, its noise, b, matches and sums over them for a right perturbation of the pose.
 
     Noisy normals look like information along a wall (errors in variables): `noise` is what their
-    variance adds to H on average.
+    variance adds to H on average. The sums are those of the weights w, of w e^2, of the influences
+    squared and of their slopes.
     """
-    H, b, noise = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
+    H, b, noise, sums = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)), np.zeros(4)
     map_points, map_normals, map_variances = (
         surfels.points, surfels.normals, surfels.normal_variances
     )  # fmt: skip
     resolution = surfels.resolution
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    matched, weights, squares = 0, 0.0, 0.0
+    matched = 0
     for i in range(len(points)):
         if classes[i] < SURFACE:
             continue
@@ -215,11 +213,13 @@ def _normal_equations(
         noise[1, 2] += v * jx * kt
         noise[2, 2] += v * kt * kt
         matched += 1
-        weights += w
-        squares += w * e * e
+        sums[0] += w
+        sums[1] += w * e * e
+        sums[2] += w * w * e * e
+        sums[3] += w * (4.0 - 3.0 * u) / u
     for A in (H, noise):
         A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
-    return H, noise, b, matched, weights, squares
+    return H, noise, b, matched, sums
 
 
 @njit(cache=True, nogil=True)
@@ -255,20 +255,25 @@ def _register(
     gates: FloatArray,
     prior_mean: FloatArray,
     prior: FloatArray,
-) -> tuple[FloatArray, FloatArray, float, float]:
-    """Pose, information, share of surface points with a partner, residual."""
+) -> tuple[FloatArray, FloatArray, FloatArray, float, float, float]:
+    """Pose, normal matrix and its noise, share of surface points with a partner, residual, scatter.
+
+    The scatter is that of an M-estimator (Huber, *Robust statistics*, 1981): its influences squared
+    over the square of their slope.
+    """
     pose = guess.copy()
-    information = np.zeros((3, 3))
-    matched, rms = 0, np.inf
+    H, noise = np.zeros((3, 3)), np.zeros((3, 3))
+    matched, rms, scatter = 0, np.inf, 1.0
     for gate in gates:
-        H, noise, b, matched, weights, squares = _normal_equations(
+        H, noise, b, matched, sums = _normal_equations(
             pose, points, normals, classes, surfels, sigma, gate
         )
-        information = (H - noise) / (sigma * sigma)
         if matched < 3:
             rms = np.inf
             break
-        rms = np.sqrt(squares / weights)
+        rms = np.sqrt(sums[1] / sums[0])
+        if sums[3] > 0.0:
+            scatter = sums[2] * sums[0] / (sums[3] * sums[3] * sigma * sigma)
         # The prior is a Gaussian around its mean, given in the frame of the scan
         c, s = np.cos(pose[2]), np.sin(pose[2])
         dx, dy = pose[0] - prior_mean[0], pose[1] - prior_mean[1]
@@ -289,4 +294,5 @@ def _register(
     surface = 0
     for kind in classes:
         surface += kind == SURFACE
-    return pose, information, matched / max(surface, 1), rms
+    scale = 1.0 / (sigma * sigma)
+    return pose, H * scale, noise * scale, matched / max(surface, 1), rms, scatter
