@@ -6,8 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from door_runs import DoorRun, door_run
+from door_runs import BTC, CAMERA, DoorRun, door_run, upright
 
+from rgslam.data_association import FramePose, project_points
+from rgslam.factor_graph import JointGraph, StereoCorners
+from rgslam.factor_graph.joint_graph import keyframe_key, spatial
 from rgslam.fusion import Fusion, fuse_landmarks
 from rgslam.fusion.online import OnlineFusion
 from rgslam.types import EdgeKind, PoseEdge
@@ -62,3 +65,29 @@ def test_nothing_seen_is_no_landmark() -> None:
     online = OnlineFusion()
     online.update(np.zeros((1, 3)), [], [])
     assert online.landmarks() == ()
+
+
+def test_rectangles_are_solved_however_loosely_their_poses_hang_together() -> None:
+    # 40 steps of 0.5 m and 6 degrees: the last rectangle is ten thousand times less certain of its
+    # place than its corners are of one another
+    rng, online = np.random.default_rng(5), OnlineFusion()
+    spread = np.diag([0.5, 0.5, 0.1]) ** 2
+    noise = np.tile(0.09 * np.eye(3), (4, 1, 1))
+    for k in range(40):
+        x = 0.5 * k
+        door = upright((x + 3.0, 0.3 * np.sin(k), 1.05), np.pi, (0.4, 1.2))
+        graph = JointGraph(online.config.factor_graph)
+        graph.add_pose(keyframe_key(k), spatial([x, 0.0, 0.0]))
+        if k == 0:
+            graph.fix(keyframe_key(0))
+        else:
+            ends = keyframe_key(k - 1), keyframe_key(k)
+            graph.add_planar(*ends, np.array([0.5, 0.0, 0.0]), spread)
+        pose = FramePose(k, np.array([x, 0.0, 0.0]), np.zeros((3, 3)), CAMERA, BTC)
+        pixels = project_points(door.corners, pose)[0] + rng.normal(0.0, 0.3, (4, 3))
+        graph.add_rectangle(k, door.corners)
+        graph.add_sight(keyframe_key(k), k, StereoCorners(pixels, noise), CAMERA, BTC)
+        online._solve(graph, keyframe_key(k))
+    found = online._isam.calculateEstimatePose3(keyframe_key(39))
+    # Each rectangle is seen once, which tells nothing of the poses: a tenth of their sigma (4 m)
+    np.testing.assert_allclose(found.translation()[:2], [19.5, 0.0], atol=0.4)

@@ -34,6 +34,10 @@ from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.observations import PlacedFrame
 from rgslam.types import CameraMount, FloatArray, PoseEdge
 
+#: rad, m: variables that moved by so much are linearised anew. What is neglected then, of second
+#: order, is 0.2 mm over a metre of a rectangle and a tenth of a pixel at 3 m.
+_TURNED, _MOVED = 0.02, 0.05
+
 
 class OnlineFusion:
     """An estimate of poses and rectangles that grows with the run."""
@@ -41,13 +45,7 @@ class OnlineFusion:
     def __init__(self, config: Config | None = None) -> None:
         """Nothing known yet."""
         self.config = Config() if config is None else config
-        parameters = gtsam.ISAM2Params()
-        parameters.relinearizeSkip = 1
-        parameters.setRelinearizeThreshold(0.01)
-        # Ties of rectangles are a thousand times tighter than a drifting pose: their normal
-        # equations lose the digits that Cholesky's factorisation needs
-        parameters.setFactorization("QR")
-        self._isam = gtsam.ISAM2(parameters)
+        self._isam = gtsam.ISAM2(_parameters())
         self._association = DataAssociation(self.config.data_association)
         self._edges: dict[int, tuple[PoseEdge, int]] = {}  # by identity: edge, place in iSAM2
         self._table = EdgeTable()
@@ -112,9 +110,8 @@ class OnlineFusion:
         places = graph.add_edges(new)
         if not poses and not new and not gone:
             return
-        result = self._isam.update(
-            graph.factors, graph.initial, [self._edges[key][1] for key in gone]
-        )
+        newest = keyframe_key(len(keyframes) - 1)
+        result = self._solve(graph, newest, [self._edges[key][1] for key in gone])
         indices = result.getNewFactorsIndices()
         for key in gone:
             del self._edges[key]
@@ -126,6 +123,17 @@ class OnlineFusion:
             self._table = EdgeTable()
             new = [edge for edge, _ in self._edges.values()]
         self._table.add(new)
+
+    def _solve(self, graph: JointGraph, last: int, gone: Sequence[int] = ()) -> gtsam.ISAM2Result:
+        """Update with what is new, and without the factors at some places.
+
+        GTSAM takes a clique for indeterminate whose last direction is 4,000 times less certain than
+        the one before: a frame far from the origin, that of a rectangle above all. Of a pose, the
+        last one is its height, which the floor holds: so a pose goes last.
+        """
+        groups = gtsam.KeyGroupMap()
+        groups.insert2(last, 1)
+        return self._isam.update(graph.factors, graph.initial, list(gone), groups)
 
     def _add_frame(self, number: int, frame: PlacedFrame) -> None:
         self._frames.append(frame)
@@ -147,7 +155,7 @@ class OnlineFusion:
                 graph.add_rectangle(self._numbers[index], track.state.corners)
             self._add_sights(graph, index, track)
         if graph.factors.size():
-            self._isam.update(graph.factors, graph.initial)
+            self._solve(graph, keyframe_key(frame.keyframe))
         for index in given.values():
             if index in self._numbers:
                 track = self._association.tracks[index]
@@ -202,3 +210,16 @@ class OnlineFusion:
         pose = frame_pose(frame, self._keyframe(frame.keyframe), self._mounts(frame))
         at = planar(self._isam.calculateEstimatePose3(frame_key(number)))
         return replace(pose, wTb=at)
+
+
+def _parameters() -> gtsam.ISAM2Params:
+    """Of iSAM2: linearise at every step what moved far enough."""
+    thresholds = gtsam.ISAM2ThresholdMap()
+    for kind in "xfrmn":  # poses
+        thresholds.insert((kind, np.repeat([_TURNED, _MOVED], 3)))
+    for kind in "abcdtuvws":  # points
+        thresholds.insert((kind, np.full(3, _MOVED)))
+    parameters = gtsam.ISAM2Params()
+    parameters.relinearizeSkip = 1
+    parameters.setRelinearizeThreshold(thresholds)
+    return parameters
