@@ -28,6 +28,7 @@ from rgslam.errors import EvaluationError
 from rgslam.experiments.json_values import to_json
 from rgslam.rectangles.detection import Hypotheses, measure_hypotheses
 from rgslam.rectangles.gradients import gradient_image
+from rgslam.rectangles.off_plane import OFF_PLANE
 from rgslam.rectangles.verification import FEATURES, WEIGHTS, border_features, misfit
 from rgslam.simulation import World, drive, simulate
 from rgslam.types import FloatArray, GreyImage, ProgressCallback, StereoPair
@@ -139,7 +140,8 @@ def learn_from(building: str, frames: Iterable[Frame]) -> Examples:
         seen = measure_hypotheses((left, other), gradients, camera, _EVERY, Counter())
         usable = np.isfinite(seen.measured.corners).all(axis=(1, 2)) & seen.estimates.converged
         features.append(_features(seen)[usable])
-        offsets.append(misfit(seen.estimates.costs)[usable])
+        off_plane = np.where(seen.off_plane, OFF_PLANE, 0.0)
+        offsets.append((misfit(seen.estimates.costs) + off_plane)[usable])
         right.append(_is_right(seen.quads.corners[usable], corners))
     return Examples(
         building,

@@ -27,6 +27,7 @@ from rgslam.rectangles.maximum_likelihood import (
     RectangleEstimates,
     fit_rectangles,
 )
+from rgslam.rectangles.off_plane import OFF_PLANE, is_off_plane
 from rgslam.rectangles.plane_normal import plane_normal
 from rgslam.rectangles.ray_plane import shape_score
 from rgslam.rectangles.rejection import Rejection
@@ -60,6 +61,7 @@ class Hypotheses:
     measured: RightCorners
     estimates: RectangleEstimates
     junctions: Junctions  # in the left image
+    off_plane: Mask  # (k,), what is seen inside is not on the plane
     line_count: int  # likewise
 
 
@@ -131,17 +133,22 @@ def measure_hypotheses(
     quads = of_rectangular_shape(from_lower_left(quads), camera, config, rejected)
 
     # 5. The right image: where the sides are there, and corner disparities from them
-    if len(quads):
-        dense = compute_disparity(*images, camera, config.stereo)
+    dense = compute_disparity(*images, camera, config.stereo) if len(quads) else None
+    if dense is None:
+        measured = RightCorners(quads.corners, quads.covariances, quads.support)
+    else:
         quads, measured = _in_right_image(quads, gradients, camera, dense, config, rejected)
         quads, measured = as_calibrated(quads, measured, config.rectangles.corner_sigma_px)
-    else:
-        measured = RightCorners(quads.corners, quads.covariances, quads.support)
 
     # 4. Maximum likelihood from all corners in both images
     estimates = _estimate(quads, measured, camera)
     junctions = corner_junctions(quads.corners, lines, gradients[0])
-    return Hypotheses(quads, measured, estimates, junctions, len(lines))
+    off_plane = (
+        np.zeros(0, bool)
+        if dense is None
+        else is_off_plane(quads.corners, estimates, dense, camera)
+    )
+    return Hypotheses(quads, measured, estimates, junctions, off_plane, len(lines))
 
 
 def from_lower_left(quads: Quadrangles) -> Quadrangles:
@@ -222,7 +229,8 @@ def _accept(
         estimates.costs,
         quads.loose_ends,
         quads.faint,
-        junctions=seen.junctions,
+        np.where(seen.off_plane, OFF_PLANE, 0.0),
+        seen.junctions,
     )
     sigma = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
     with np.errstate(invalid="ignore"):
