@@ -173,8 +173,9 @@ class LocalMap:
         newest = len(poses) - 1
         for share in (1, 2, 4):
             back = self._config.local_keyframes // share
-            old = max(newest - back, 0)
-            if newest - old < 2:
+            old = newest - back
+            # Never the first keyframe again and again: its own error would seem to average out
+            if old < 0 or back < 2:
                 continue
             seen = agreement(
                 thinned(scan.valid, 4.0 * self._config.resolution), poses[newest], self._store,
@@ -183,6 +184,16 @@ class LocalMap:
             if seen.overlap > 0.5:
                 return old
         return None
+
+    @property
+    def noise(self) -> float:
+        """Variance of a beam if all were independent, m^2."""
+        return self.sigma**2 * self.variance_factor
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether the noise comes from this recording."""
+        return len(self._residuals) >= _NOISE_MATCHES // 4 and self._correlation.known
 
     @property
     def variance_factor(self) -> float:

@@ -20,11 +20,12 @@ from rgslam import __version__
 from rgslam.config import Config
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
+from rgslam.first_edges import FirstEdge
 from rgslam.frame_placing import HORIZON, FramePlacer, ScanPlace
 from rgslam.gateways import detect_crossings
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
-from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView
+from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView, Rejection, contradicted
 from rgslam.observations import FrameObservations, PlacedFrame, RunMessage, observe_frame
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance
@@ -111,6 +112,7 @@ class Mapper:
         self._closer = LoopCloser(self.config.loop_closing)
         self._graph = PoseGraph(self.config.factor_graph.loop_kernel)
         self._geometry: LaserGeometry | None = None
+        self._first_edges: list[FirstEdge] | None = []  # None: the noise is known
         self._keyframe_scans: list[int] = []
         self._keyframe_path: list[float] = []
         self._poses = np.empty((0, 3))  # wTb of the keyframes
@@ -177,6 +179,7 @@ class Mapper:
 
         with self.clock.stage("matching"):
             self._local_map.rebuild(self._poses)
+            self._restate_first_edges()
         return StepResult(scan.stamp, self._wTb.copy(), match.trusted, number, tuple(loops))
 
     # --- The pieces of a step ------------------------------------------------------------------
@@ -298,15 +301,28 @@ class Mapper:
         far = self._local_map.farthest_in_sight(points, self._poses) if match.trusted else None
         shared = information if far is None else information * (2.0 / 3.0)
         # Laser and wheels since the last keyframe are independent evidence: both count
-        covariance = np.linalg.inv(shared + np.linalg.inv(self._since_keyframe))
-        edges = [self._edge(number - 1, number, covariance)]
+        wheels = np.asarray(np.linalg.inv(self._since_keyframe), np.float64)
+        edges = [self._edge(number - 1, number, shared, wheels)]
         if far is not None:
-            open_far = np.asarray(np.linalg.inv(shared + _OPEN), np.float64)
-            edges.append(self._edge(far, number, open_far))
+            edges.append(self._edge(far, number, shared, _OPEN))
         return edges
 
-    def _edge(self, i: int, j: int, covariance: FloatArray) -> PoseEdge:
-        return PoseEdge(i, j, between(self._poses[i], self._poses[j]), covariance, EdgeKind.MATCH)
+    def _edge(self, i: int, j: int, laser: FloatArray, rest: FloatArray) -> PoseEdge:
+        covariance = np.asarray(np.linalg.inv(laser + rest), np.float64)
+        iTj = between(self._poses[i], self._poses[j])
+        edge = PoseEdge(i, j, iTj, covariance, EdgeKind.MATCH)
+        if self._first_edges is not None:
+            self._first_edges.append(FirstEdge(edge, laser, rest, self._local_map.noise))
+        return edge
+
+    def _restate_first_edges(self) -> None:
+        """Once, when the noise is known; all covariances are relative to the first keyframe."""
+        if not self._first_edges or not self._local_map.noise_known:
+            return
+        self._graph = self._graph.without(first.edge for first in self._first_edges)
+        self._graph.add(first.restated(self._local_map.noise) for first in self._first_edges)
+        self._closer.replace_edges(self._graph.edges)
+        self._first_edges = None
 
     def _search_loops(self, number: int) -> list[LoopCandidate]:
         if not self.config.loop_closing.enabled or number == 0:
@@ -361,11 +377,21 @@ class Mapper:
             loop for loop, off in zip(self._closer.accepted, sigmas, strict=True) if off > limit
         ]
         if outvoted:
-            self._graph = self._graph.without(loop.edge for loop in outvoted)
-            self._closer.take_back(outvoted, self._graph.edges)
+            self._take_back(outvoted, Rejection.OUTVOTED)
             self._poses = self._graph.optimise(before, convex_start, tolerance)
         self._wTb = compose(self._poses[-1], self._track.kTb[-1])
         self._unsettled = 0
+
+    def _take_back(self, loops: list[LoopCandidate], reason: Rejection) -> None:
+        self._graph = self._graph.without(loop.edge for loop in loops)
+        self._closer.take_back(loops, reason, self._graph.edges)
+
+    def _recheck(self) -> None:
+        """Look at all accepted loops again, in the map that they made."""
+        wrong = contradicted(self._closer.accepted, self._view(), self.config.loop_closing)
+        if wrong:
+            self._take_back(wrong, Rejection.RECHECKED)
+            self._optimise()
 
     def landmarks(self) -> tuple[RectangleState, ...]:
         """The rectangles seen often enough so far, by iSAM2.
@@ -411,6 +437,7 @@ class Mapper:
             tell("optimisation", 0, 2)
             self._add_loops(loops)
             self._optimise(any(loop.wide for loop in loops))
+            self._recheck()
             tell("optimisation", 1, 2)
             covariances = self._graph.covariances(self._poses)
             tell("optimisation", 2, 2)

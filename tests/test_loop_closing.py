@@ -18,6 +18,7 @@ from rgslam.loop_closing import (
     MapView,
     Rejection,
     consistent,
+    contradicted,
     largest_consistent_set,
     old_chunks,
     propose_loop,
@@ -148,6 +149,18 @@ def test_the_drift_of_a_second_visit_is_found() -> None:
     error = between(loop.edge.iTj, between(truth[anchor], truth[15]))
     assert np.hypot(error[0], error[1]) < 0.02 and abs(error[2]) < 0.01
     assert error @ np.linalg.solve(loop.edge.covariance, error) < 11.3
+
+
+def test_the_final_map_is_asked_again() -> None:
+    """A loop that was right where it was found is given up where the map says otherwise."""
+    view = furnished_view(two_visits())
+    loop, _ = proposed(view, np.zeros(3), np.diag([0.2**2, 0.2**2, 0.05**2]))
+    assert loop.rejection is None
+    assert contradicted([loop], view, CONFIG) == []
+    # The second visit is bent by half a right angle: its walls cross the free space of the first
+    bent = np.vstack([view.poses[:8], compose(np.array([0.0, 0.0, 0.8]), view.poses[8:])])
+    moved = MapView(view.store, bent, view.path, view.sigma, view.variance_factor)
+    assert contradicted([loop], moved, CONFIG) == [loop]
 
 
 def test_another_room_is_no_loop() -> None:

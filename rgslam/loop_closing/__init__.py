@@ -4,6 +4,7 @@
 
 from rgslam.loop_closing.acceptance import confirmed, consistent, largest_consistent_set
 from rgslam.loop_closing.closer import LoopCloser
+from rgslam.loop_closing.recheck import contradicted
 from rgslam.loop_closing.search import (
     LoopCandidate,
     MapView,
@@ -21,6 +22,7 @@ __all__ = [
     "Rejection",
     "confirmed",
     "consistent",
+    "contradicted",
     "largest_consistent_set",
     "old_chunks",
     "propose_loop",

@@ -89,11 +89,17 @@ class LoopCloser:
         self.accepted += believed
         return believed
 
-    def take_back(self, loops: Sequence[LoopCandidate], edges: Sequence[PoseEdge]) -> None:
+    def take_back(
+        self, loops: Sequence[LoopCandidate], reason: Rejection, edges: Sequence[PoseEdge]
+    ) -> None:
         """Give up accepted loops that the optimised graph contradicts; `edges` are those left."""
         for loop in loops:
             self.accepted.remove(loop)
-            self.rejected.append(loop.rejected(Rejection.OUTVOTED))
+            self.rejected.append(loop.rejected(reason))
+        self.replace_edges(edges)
+
+    def replace_edges(self, edges: Sequence[PoseEdge]) -> None:
+        """Tell the closer of all edges anew."""
         self._table = EdgeTable()
         self._table.add(edges)
 

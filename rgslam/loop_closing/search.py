@@ -45,6 +45,7 @@ class Rejection(Enum):
     NOT_CONVERGED = "registration did not converge"
     INCONSISTENT = "disagrees with other loops"
     OUTVOTED = "the optimised graph disagrees"
+    RECHECKED = "free space of the final map contradicts"
 
 
 @dataclass(frozen=True, eq=False)

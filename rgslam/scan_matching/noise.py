@@ -36,8 +36,13 @@ class BeamCorrelation:
         _add_products(residuals, self._sums, self._counts)
         self.factor = self._factor()
 
+    @property
+    def known(self) -> bool:
+        """Whether the factor comes from this recording."""
+        return bool(self._counts[0] >= _ENOUGH and self._sums[0] > 0.0)
+
     def _factor(self) -> float:
-        if self._counts[0] < _ENOUGH or not self._sums[0] > 0.0:
+        if not self.known:
             return _FIRST
         enough = self._counts >= _ENOUGH
         products = np.where(enough, self._sums / np.maximum(self._counts, 1.0), 0.0)
