@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import chdtri
 
 from rgslam.config import Config
 from rgslam.experiments.json_values import to_json
+from rgslam.experiments.landmark_sights import SightScores, score_sights
 from rgslam.fusion import fuse_landmarks
 from rgslam.landmarks import describe_landmarks
 from rgslam.metrics.against_truth import trajectory_errors
@@ -56,9 +58,15 @@ class FusionScore:
     size_median_cm: float
     corner_sights_alone_cm: float  # medians of corners alone: no planes and axes that the laser saw
     size_sights_alone_cm: float
+    corner_best_sight_cm: float  # median of the surest single sight of each, from its true place
+    wrong_sights: int  # given to the landmark of another rectangle
     landmark_nees: float  # mean; 8 degrees of freedom
+    landmark_nees_low: float  # the band in which the mean of so many lies 95 times of 100
+    landmark_nees_high: float
     landmark_inside: float  # share inside their own 95 % region
     keyframe_nees: float  # mean; 3 degrees of freedom
+    keyframe_nees_low: float  # the band of as many independent errors
+    keyframe_nees_high: float
     keyframe_inside: float
     ate_cm: float
     ate_without_cm: float  # the same run mapped without rectangles
@@ -86,6 +94,7 @@ class _Run:
     sights: ObservationErrors
     landmarks: LandmarkErrors
     sights_alone: LandmarkErrors
+    sight_scores: SightScores
     keyframes: Nees
     ates: tuple[float, float, float, float]  # cm, in the order of `FusionScore`
 
@@ -147,6 +156,7 @@ def _score(
         sights=observation_errors(seen, truth),
         landmarks=landmark_errors(rg_map.rectangles, truth.rectangles, wanted, start, start),
         sights_alone=landmark_errors(sights_alone, truth.rectangles, wanted, start, start),
+        sight_scores=score_sights(fusion.landmarks, rg_map.frames, truth),
         keyframes=nees(*keyframe_errors(rg_map.keyframes, truth.trajectory)),
         ates=(ates[0], ates[1], ates[2], ates[3]),
     )
@@ -188,8 +198,8 @@ def _row(runs: Sequence[_Run]) -> FusionScore:
     landmarks, sights = [run.landmarks for run in runs], [run.sights for run in runs]
     corners = np.concatenate([one.corner_error.ravel() for one in landmarks])
     ates = np.mean([run.ates for run in runs], axis=0)
-    landmark_nees, landmark_inside = _consistency([one.nees for one in landmarks])
-    keyframe_nees, keyframe_inside = _consistency([run.keyframes for run in runs])
+    landmark_nees, landmark_inside, landmark_band = _consistency([one.nees for one in landmarks])
+    keyframe_nees, keyframe_inside, keyframe_band = _consistency([run.keyframes for run in runs])
     return FusionScore(
         world=runs[0].world if len(runs) == 1 else "all",
         seed=runs[0].seed if len(runs) == 1 else None,
@@ -210,9 +220,15 @@ def _row(runs: Sequence[_Run]) -> FusionScore:
         size_median_cm=_quantile([np.abs(one.size_error) for one in landmarks], 0.5),
         corner_sights_alone_cm=_quantile([run.sights_alone.corner_error for run in runs], 0.5),
         size_sights_alone_cm=_quantile([np.abs(run.sights_alone.size_error) for run in runs], 0.5),
+        corner_best_sight_cm=_quantile([run.sight_scores.best_corner_error for run in runs], 0.5),
+        wrong_sights=sum(run.sight_scores.wrong for run in runs),
         landmark_nees=landmark_nees,
+        landmark_nees_low=landmark_band[0],
+        landmark_nees_high=landmark_band[1],
         landmark_inside=landmark_inside,
         keyframe_nees=keyframe_nees,
+        keyframe_nees_low=keyframe_band[0],
+        keyframe_nees_high=keyframe_band[1],
         keyframe_inside=keyframe_inside,
         ate_cm=float(ates[0]),
         ate_without_cm=float(ates[1]),
@@ -230,11 +246,13 @@ def _quantile(values: Sequence[np.ndarray], share: float) -> float:
     return 100.0 * float(np.quantile(together, share)) if together.size else NAN
 
 
-def _consistency(parts: Sequence[Nees | str]) -> tuple[float, float]:
-    """Mean and share inside, over all errors of those whose NEES is known."""
+def _consistency(parts: Sequence[Nees | str]) -> tuple[float, float, tuple[float, float]]:
+    """Mean, share inside and band of the mean, over all errors of those whose NEES is known."""
     known = [part for part in parts if isinstance(part, Nees)]
     if not known:
-        return NAN, NAN
+        return NAN, NAN, (NAN, NAN)
     values = np.concatenate([part.values for part in known])
     inside = np.average([part.inside for part in known], weights=[len(p.values) for p in known])
-    return float(values.mean()), float(inside)
+    freedom = known[0].dimension * len(values)
+    low, high = (float(chdtri(freedom, tail)) / len(values) for tail in (0.975, 0.025))
+    return float(values.mean()), float(inside), (low, high)

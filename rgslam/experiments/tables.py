@@ -94,17 +94,31 @@ def print_fusion(result: FusionResult, console: Console | None = None) -> None:
             "size_median_cm": "size cm",
             "corner_sights_alone_cm": "corner, sights alone",
             "size_sights_alone_cm": "size, sights alone",
-            "landmark_nees": "NEES (8)",
-            "landmark_inside": "inside 95 %",
+            "corner_best_sight_cm": "corner, best sight",
+            "wrong_sights": "wrong sights",
         },
         "wanted: seen so in three frames or more; the map lies over the truth at the "
-        "start; sights alone: without planes of landmarks and axes of regions seen by the laser.",
+        "start; sights alone: without planes of landmarks and axes of regions seen by the laser; "
+        "best sight: the surest one of each landmark, from its true place; wrong sights: given to "
+        "the landmark of another rectangle.",
+    )
+    table(
+        "Consistency",
+        {
+            "landmark_nees": "landmarks' NEES (8)",
+            "landmark_nees_low": "from",
+            "landmark_nees_high": "to",
+            "landmark_inside": "inside 95 %",
+            "keyframe_nees": "keyframes' NEES (3)",
+            "keyframe_nees_low": "from",
+            "keyframe_nees_high": "to",
+            "keyframe_inside": "inside 95 %",
+        },
+        "from, to: where 95 of 100 means of as many independent errors lie.",
     )
     table(
         "Trajectory",
         {
-            "keyframe_nees": "NEES (3)",
-            "keyframe_inside": "inside 95 %",
             "ate_cm": "ATE cm",
             "ate_without_cm": "laser alone",
             "ate_no_loops_cm": "no loops",
