@@ -8,6 +8,7 @@ import bz2
 import gzip
 import itertools
 import math
+import threading
 import tracemalloc
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from hypothesis import strategies as st
 from rgslam import open_recording
 from rgslam.errors import RecordingError
 from rgslam.geometry import compose
+from rgslam.loaders.byte_stream import LineStream
 from rgslam.loaders.carmen_records import parse_flaser, parse_numbers
 from rgslam.loaders.carmen_survey import pile_at_the_top
 from rgslam.loaders.odometry_interpolation import with_odometry
@@ -408,3 +410,17 @@ def test_fr079_knows_its_mount_and_stamps_serve_as_keys(rgslam_data: Path) -> No
     assert scan.odometry == pytest.approx([-3.034287, 8.291214, -3.120965])
     assert scan.stamp == 1211.520329
     assert recording.scan_count == 4934
+
+
+@pytest.mark.parametrize("taken", [3, None])
+def test_packed_text_is_decompressed_in_a_thread_that_ends(
+    tmp_path: Path, taken: int | None
+) -> None:
+    text = b"".join(b"%d some words to pack\n" % k for k in range(1_000_000))
+    path = tmp_path / "long.log.gz"
+    path.write_bytes(gzip.compress(text, 1))
+    with LineStream(path) as lines:
+        assert b"".join(itertools.islice(lines, taken)) == (
+            text if taken is None else b"".join(text.splitlines(keepends=True)[:taken])
+        )
+    assert "decompress" not in [thread.name for thread in threading.enumerate()]

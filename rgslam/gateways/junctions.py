@@ -106,10 +106,9 @@ def _mouths(
     """Lines between two corners behind which a hallway begins."""
     mouths = []
     for i, a in enumerate(corners):
-        for b in corners[i + 1 :]:
-            length = float(np.linalg.norm(b - a))
-            if not _WIDTHS[0] * width <= length <= _WIDTHS[1] * width:
-                continue
+        lengths = np.hypot(*(corners[i + 1 :] - a).T)
+        fits = (_WIDTHS[0] * width <= lengths) & (lengths <= _WIDTHS[1] * width)
+        for b, length in zip(corners[i + 1 :][fits], lengths[fits].tolist(), strict=True):
             if not is_free_segment(hallways, *a, *b):
                 continue
             ends = np.stack([a, b])

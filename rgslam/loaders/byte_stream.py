@@ -5,13 +5,16 @@
 from __future__ import annotations
 
 import bz2
+import contextlib
 import gzip
 import io
+import queue
+import threading
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, cast
 
 from rgslam.errors import RecordingError
 
@@ -20,6 +23,9 @@ _MAGIC = {b"\x1f\x8b": "gzip", b"BZh": "bzip2"}
 
 # A scan of 4000 beams with remissions is 80 kB; a longer line means that this is no text log.
 MAX_LINE_BYTES = 1 << 20
+
+# Text is decompressed in pieces, so many of them (16 MB) before they are asked for.
+_BLOCK_BYTES, _BLOCKS_AHEAD = 1 << 16, 256
 
 
 def compression(path: Path) -> str | None:
@@ -53,6 +59,7 @@ class LineStream:
         except OSError as error:
             raise RecordingError(f"{path}: {_reason(error)}") from error
         self._text = _decompressed(self._file, kind)
+        self._ahead = _ReadAhead(self._text) if kind else None
 
     def __enter__(self) -> LineStream:
         return self
@@ -63,6 +70,8 @@ class LineStream:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        if self._ahead is not None:
+            self._ahead.close()
         self._text.close()
         self._file.close()
 
@@ -79,9 +88,10 @@ class LineStream:
 
     def __iter__(self) -> Iterator[bytes]:
         number = 0
+        text = self._text if self._ahead is None else self._ahead.text()
         while True:
             try:
-                line = self._text.readline(MAX_LINE_BYTES)
+                line = text.readline(MAX_LINE_BYTES)
             except (EOFError, OSError, zlib.error) as error:
                 if isinstance(error, OSError) and error.errno is not None:
                     raise RecordingError(f"{self.path}: {_reason(error)}") from error
@@ -97,11 +107,66 @@ class LineStream:
             yield line
 
 
+class _ReadAhead(io.RawIOBase):
+    """Decompresses in a thread, while the reader does something else with what came before."""
+
+    def __init__(self, packed: io.BufferedReader) -> None:
+        """Nothing is read before `text` is asked for."""
+        self._packed = packed
+        self._blocks: queue.Queue[bytes | Exception] = queue.Queue(_BLOCKS_AHEAD)
+        self._rest = b""
+        self._stopped = False
+        self._thread: threading.Thread | None = None
+
+    def text(self) -> io.BufferedReader:
+        """Start to decompress; what comes of it."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._decompress, name="decompress", daemon=True)
+            self._thread.start()
+        return io.BufferedReader(self, _BLOCK_BYTES)
+
+    def readable(self) -> bool:
+        """Yes."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Hand out the next bytes; 0 at the end. Raises what decompressing raised."""
+        if not self._rest:
+            block = self._blocks.get()
+            if isinstance(block, Exception) or not block:
+                self._blocks.put(block)  # the end stays the end
+            if isinstance(block, Exception):
+                raise block
+            self._rest = block
+        count = min(len(buffer), len(self._rest))
+        buffer[:count], self._rest = self._rest[:count], self._rest[count:]
+        return count
+
+    def close(self) -> None:
+        """End the thread."""
+        self._stopped = True
+        while self._thread is not None and self._thread.is_alive():
+            with contextlib.suppress(queue.Empty):  # it may wait for room
+                self._blocks.get(timeout=0.01)
+        super().close()
+
+    def _decompress(self) -> None:
+        while not self._stopped:
+            try:
+                block = self._packed.read1(_BLOCK_BYTES)
+            except (EOFError, OSError, zlib.error) as error:
+                self._blocks.put(error)
+                return
+            self._blocks.put(block)
+            if not block:
+                return
+
+
 def _decompressed(file: BinaryIO, kind: str | None) -> io.BufferedReader:
     if kind is None:
         return cast(io.BufferedReader, file)
     raw = gzip.GzipFile(fileobj=file) if kind == "gzip" else bz2.BZ2File(file)
-    return io.BufferedReader(cast(io.RawIOBase, raw), 1 << 16)
+    return io.BufferedReader(cast(io.RawIOBase, raw), _BLOCK_BYTES)
 
 
 def _reason(error: Exception) -> str:

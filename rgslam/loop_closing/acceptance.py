@@ -67,6 +67,9 @@ def confirmed(
     candidates: Sequence[LoopCandidate], agree: np.ndarray, config: LoopClosingConfig
 ) -> list[int]:
     """Indices of the candidates that enough others support, or an empty list."""
+    supported = agree.sum(axis=0) >= config.min_support - 1
+    if np.count_nonzero(supported) < config.min_support:
+        return []  # no clique can be that large
     best, rival = largest_consistent_set(agree)
     if len(best) < config.min_support or rival >= len(best):
         return []
