@@ -82,7 +82,11 @@ def _submitted(pool: ProcessPoolExecutor, rg_map: RGMap) -> Future[bytes]:
 
 
 def _load() -> None:
+    """What this process can do until there is a map."""
     import rgslam.drawing  # noqa: F401
+    from rgslam.compile_ahead import compile_later_stages
+
+    compile_later_stages()
 
 
 def _draw(rg_map: RGMap) -> bytes:

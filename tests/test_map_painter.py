@@ -7,6 +7,8 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -40,3 +42,30 @@ def test_a_single_core_draws_here(monkeypatch: pytest.MonkeyPatch) -> None:
     with MapPainter() as painter:
         assert painter._pool is None
         assert painter.begin(rg_map).png() == draw_map(rg_map)
+
+
+def test_later_stages_are_compiled_for_the_arrays_of_a_run() -> None:
+    """What a run compiled besides would mean that the small plan goes another way than runs do."""
+    code = """
+from numba.core.dispatcher import Dispatcher
+import gc, rgslam, helpers
+from rgslam.compile_ahead import compile_later_stages
+
+def signatures():
+    return {
+        (loop.py_func.__module__, loop.py_func.__name__, str(signature))
+        for loop in gc.get_objects() if isinstance(loop, Dispatcher)
+        for signature in loop.signatures
+        if loop.py_func.__module__.startswith(("rgslam.regions", "rgslam.gateways"))
+    }
+
+compile_later_stages()
+ahead = signatures()
+rgslam.segment_grid(helpers.office_map().grid, of_run=True)
+print(sorted(signatures() - ahead))
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+        cwd=Path(__file__).parent,
+    )  # fmt: skip
+    assert result.stdout.strip() == "[]"

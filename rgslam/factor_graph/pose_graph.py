@@ -80,7 +80,8 @@ class PoseGraph:
         if convex_start:
             values = gtsam.LevenbergMarquardtOptimizer(self._convex, values, parameters).optimize()
         values = gtsam.LevenbergMarquardtOptimizer(self._robust, values, parameters).optimize()
-        found: FloatArray = gtsam.utilities.extractPose2(values)  # in the order of the keys
+        # In the order of the keys, and in rows, as kernels are compiled for
+        found: FloatArray = np.ascontiguousarray(gtsam.utilities.extractPose2(values))
         self._solved = (found.copy(), values)
         return found
 

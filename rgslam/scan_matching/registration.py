@@ -262,7 +262,7 @@ def _register(
     over the square of their slope.
     """
     pose = guess.copy()
-    H, noise = np.zeros((3, 3)), np.zeros((3, 3))
+    H, noise, A = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
     matched, rms, scatter = 0, np.inf, 1.0
     for gate in gates:
         H, noise, b, matched, sums = _normal_equations(
@@ -278,12 +278,14 @@ def _register(
         c, s = np.cos(pose[2]), np.sin(pose[2])
         dx, dy = pose[0] - prior_mean[0], pose[1] - prior_mean[1]
         turn = (pose[2] - prior_mean[2] + np.pi) % (2.0 * np.pi) - np.pi
-        off = np.array([c * dx + s * dy, -s * dx + c * dy, turn])
-        gradient = b / (sigma * sigma)
+        off = (c * dx + s * dy, -s * dx + c * dy, turn)
+        # Element by element, as Numba takes a second to compile each expression of arrays
         for k in range(3):
+            b[k] = -b[k] / (sigma * sigma)
             for m in range(3):
-                gradient[k] += prior[k, m] * off[m]
-        step = solve(H / (sigma * sigma) + prior, -gradient)
+                A[k, m] = H[k, m] / (sigma * sigma) + prior[k, m]
+                b[k] -= prior[k, m] * off[m]
+        step = solve(A, b)
         pose[0] += c * step[0] - s * step[1]
         pose[1] += s * step[0] + c * step[1]
         pose[2] += step[2]
@@ -295,4 +297,7 @@ def _register(
     for kind in classes:
         surface += kind == SURFACE
     scale = 1.0 / (sigma * sigma)
-    return pose, H * scale, noise * scale, matched / max(surface, 1), rms, scatter
+    for k in range(3):
+        for m in range(3):
+            H[k, m], noise[k, m] = H[k, m] * scale, noise[k, m] * scale
+    return pose, H, noise, matched / max(surface, 1), rms, scatter
