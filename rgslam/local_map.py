@@ -171,7 +171,7 @@ class LocalMap:
             None when only the neighbour or nothing does.
         """
         newest = len(poses) - 1
-        for share in (1, 2, 4):
+        for share in (1, 2):
             back = self._config.local_keyframes // share
             old = newest - back
             # Never the first keyframe again and again: its own error would seem to average out
