@@ -9,12 +9,14 @@ put where beams really ended.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rgslam.config import Config
 from rgslam.gateways.scan_posts import refine_corners, refine_gateway
+from rgslam.regions.compact_lines import at_boundary, compact_lines
 from rgslam.scan_hits import Hits
 from rgslam.types import FloatArray, Gateway, GatewayClass, LineSegment, Mask, Region, Segmentation
 
@@ -36,7 +38,7 @@ def fit_to_scans(
         segmentation: of the grid of the same scans.
         hits: of scans at their poses.
         resolution: of the grid, m per cell.
-        config: the section `gateways`.
+        config: the sections `gateways` and `regions`.
     """
     regions = {r.id: refit_region(r, hits, resolution) for r in segmentation.regions}
 
@@ -47,11 +49,25 @@ def fit_to_scans(
         lines = regions[a].line_segments + regions[b].line_segments
         return refine_corners(gateway, lines, hits, resolution)
 
+    gateways = tuple(refined(gateway) for gateway in segmentation.gateways)
     return replace(
         segmentation,
-        regions=tuple(regions.values()),
-        gateways=tuple(refined(gateway) for gateway in segmentation.gateways),
+        regions=tuple(
+            _compacted(r, gateways, hits, resolution, config.regions.largest_object)
+            for r in regions.values()
+        ),
+        gateways=gateways,
     )
+
+
+def _compacted(
+    region: Region, gateways: Sequence[Gateway], hits: Hits, resolution: float, gap: float
+) -> Region:
+    own = [g for g in gateways if g.id in region.gateways]
+    lines = region.line_segments
+    near = hits.near(region.polygon.min(axis=0), region.polygon.max(axis=0), 2.0 * resolution)
+    near = at_boundary(region.polygon, lines, near, resolution)
+    return replace(region, line_segments=compact_lines(lines, near, own, region.polygon, gap))
 
 
 def refit_region(region: Region, hits: Hits, resolution: float) -> Region:
