@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.special import chdtri
 
 from rgslam.data_association import FramePose, RectangleState, Track, project_points
 from rgslam.types import FloatArray
@@ -25,6 +26,8 @@ from rgslam.types import FloatArray
 #: Sides by their corners, and where outside is in the plane of the rectangle.
 _SIDES = ((0, 1), (1, 2), (2, 3), (3, 0))
 _OUTWARD = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+#: Probability at which sights that agree contradict each other so much.
+_BY_CHANCE = 0.01
 #: A row is the mean of both images', which halves its variance; columns are of one each.
 _OF_LEFT = np.diag([1.0, 0.0, np.sqrt(2.0)])
 
@@ -92,6 +95,9 @@ def _contradiction(
         chi_square += float(np.sum(off * weighted[..., 8:]))
     # Eight numbers of the rectangle; every frame but the first has a pose that gives way
     count = len(track.sights)
-    excess = max(0.0, chi_square / (12 * count - 8 - 3 * (count - 1)) - 1.0)
+    freedom = 12 * count - 8 - 3 * (count - 1)
+    if chi_square < chdtri(freedom, _BY_CHANCE):
+        return np.zeros((12, 12))
+    excess = chi_square / freedom - 1.0
     slopes = state.corner_slopes
     return np.asarray(excess * slopes @ np.linalg.inv(information) @ slopes.T)
