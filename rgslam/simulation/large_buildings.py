@@ -40,6 +40,8 @@ _SENSORS = Sensors(
 _DOOR_SPACING, _DOOR_WIDTH, _DOOR_DEPTH, _ROOM = 6.0, 1.0, 0.15, (4.4, 5.0)
 #: m, of all walls.
 _THICKNESS = 0.1
+#: m, width of a pane of glass.
+_PANE = 2.0
 #: One door of so many stands open, and one of so many pieces of wall is glass.
 _OPEN_DOORS, _GLASS = 8, 12
 
@@ -149,7 +151,9 @@ def _walls(plan: Polygon, rng: np.random.Generator) -> Iterator[Wall]:
         piece = [corners[0]]
         for a, b in pairwise(corners):
             if _length(a, b) > 3.0 and rng.integers(_GLASS) == 0:
-                left, right = (tuple(np.array(a) + s * (np.array(b) - a)) for s in (0.35, 0.65))
+                half = 0.5 * _PANE / _length(a, b)
+                ends = (np.array(a) + (0.5 + s) * (np.array(b) - a) for s in (-half, half))
+                left, right = ((float(x), float(y)) for x, y in ends)
                 yield Wall(points=[*piece, left], thickness=_THICKNESS)
                 piece = [right]
             piece.append(b)
