@@ -80,12 +80,16 @@ def _hidden(
     bulk = cv2.morphologyEx(
         mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((width, width), np.uint8)
     )
-    places = _enclosed(bulk > 0) & ~mask
-    number, pieces, stats, _ = cv2.connectedComponentsWithStats(
-        places.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
-    )
     # Fronts are seen as deep as the noise of a wall; what lies deeper has been looked into
     front = int(np.ceil(2.0 * _WALL_NOISE / resolution))
+    # A wall that strays by its noise leaves strips, which would join what stands at it
+    places = cv2.morphologyEx(
+        (_enclosed(bulk > 0) & ~mask).astype(np.uint8), cv2.MORPH_OPEN,
+        np.ones((front, front), np.uint8),
+    )  # fmt: skip
+    number, pieces, stats, _ = cv2.connectedComponentsWithStats(
+        places, connectivity=4, ltype=cv2.CV_32S
+    )
     near = cv2.dilate(mask.astype(np.uint8), np.ones((2 * front + 1, 2 * front + 1), np.uint8)) > 0
     looked_into = np.bincount(pieces[occupied & ~near], minlength=number)
     # No laser sees all of what is inside: such a place was drawn
