@@ -90,6 +90,8 @@ def _hidden(
     number, pieces, stats, _ = cv2.connectedComponentsWithStats(
         places, connectivity=4, ltype=cv2.CV_32S
     )
+    if number == 1:
+        return np.zeros_like(inside)
     near = cv2.dilate(mask.astype(np.uint8), np.ones((2 * front + 1, 2 * front + 1), np.uint8)) > 0
     looked_into = np.bincount(pieces[occupied & ~near], minlength=number)
     # No laser sees all of what is inside: such a place was drawn
