@@ -378,7 +378,7 @@ class Mapper:
         ]
         if outvoted:
             self._take_back(outvoted, Rejection.OUTVOTED)
-            self._poses = self._graph.optimise(before, convex_start, tolerance)
+            self._poses = self._graph.optimise(before, convex_start, tolerance, iterations)
         self._wTb = compose(self._poses[-1], self._track.kTb[-1])
         self._unsettled = 0
 
