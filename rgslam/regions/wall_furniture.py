@@ -29,7 +29,7 @@ _WALL_NOISE = 0.06
 # inside of furniture, but it does see the far side of a pier.
 _SEEN_INSIDE = 0.1
 # The longest edges of an outline, which tell the direction of the walls.
-_EDGES = 200
+_EDGES = 40
 # Sides of furniture run along its wall to within this angle, and so much of its outline does.
 _ASKEW, _STRAIGHT = np.radians(10.0), 0.9
 # Share of it that may be somebody else's: what shows through the joints of a wall.
