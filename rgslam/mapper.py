@@ -519,7 +519,9 @@ class Mapper:
         with self.clock.stage("regions and gateways"):
             if progress is not None:
                 progress("regions and gateways", 0, 1)
-            segmentation = segment_grid(grid, config=self.config, of_run=True)
+            segmentation = segment_grid(
+                grid, config=self.config, of_run=True, visited=self._poses[:, :2]
+            )
             # Walls and posts where the beams ended, not where cells begin
             hits = hits_of(keyframe_scans, self._poses)
             segmentation = fit_to_scans(segmentation, hits, grid.resolution, self.config)

@@ -271,3 +271,35 @@ def test_outlines_are_exact():
     polygons = trace_outlines(cells, 0.0).polygons()
     assert sorted(signed_area(p) for p in polygons) == [-2.0, 1.0, 20.0]
     assert sum(signed_area(p) for p in polygons) == cells.sum()
+
+
+def seen_through_glass(window: tuple[float, float]) -> OccupancyGrid:
+    """A hallway of 18 x 2 m, and what beams saw beyond a window in its northern wall, in rays."""
+    cell = 0.05
+    x, y = np.meshgrid(np.arange(0.0, 20.0, cell) + cell / 2, np.arange(0.0, 9.0, cell) + cell / 2)
+    hallway = (np.abs(x - 10.0) < 9.0) & (np.abs(y - 2.0) < 1.0)
+    wall = (np.abs(x - 10.0) < 9.1) & (np.abs(y - 2.0) < 1.1) & ~hallway
+    low, high = window
+    pane = wall & (y > 3.0) & (x > low) & (x < high)
+    # Rays fan out from the hallway, so that the unknown lies between them.
+    turn = np.arctan2(x - (low + high) / 2.0, y - 1.0)
+    rays = (np.sin(40.0 * turn) > 0.0) | (y < 5.0)
+    beyond = (y > 3.1) & (y < 8.0) & (x > low - 0.2) & (x < high + 0.2) & rays
+    occupancy = np.where(wall, 1.0, np.nan)
+    occupancy[hallway | pane | beyond] = 0.0
+    return OccupancyGrid(occupancy, cell, np.zeros(2))
+
+
+def test_what_is_seen_through_a_window_joins_no_region():
+    found = segment_grid(seen_through_glass((9.0, 10.4)), of_run=True)
+    assert len(found.regions) == 1
+    # The pane and half a metre beyond it count as a crevice of the hallway.
+    assert found.regions[0].area == pytest.approx(36.0 + 1.4 * 0.6, abs=0.3)
+
+
+def test_where_the_robot_was_is_a_region_behind_any_glass():
+    grid = seen_through_glass((1.5, 18.5))
+    path = np.column_stack([np.linspace(1.5, 18.5, 50), np.full(50, 2.0)])
+    assert len(segment_grid(grid, of_run=True).regions) == 0  # a fan of rays, as far as one can see
+    found = segment_grid(grid, of_run=True, visited=np.vstack([path, [[-50.0, 0.0]]]))
+    assert {label_at(found, grid, point) for point in path} == {1}

@@ -124,21 +124,30 @@ class Pieces:
     radii: FloatArray  # (n + 1,), largest clearance, m
     walls: FloatArray  # (n + 1,), length of edge at a wall, cells
     edges: FloatArray  # (n + 1,), length of edge at a wall or at the unknown, cells
+    visited: BoolArray  # (n + 1,), the robot was there
+
+    def are_roomy(self, config: RegionConfig) -> BoolArray:
+        """Large enough to be in."""
+        return np.asarray(
+            (self.areas >= config.least_area) & (self.radii >= config.least_radius), bool
+        )
+
+    def are_known(self, config: RegionConfig) -> BoolArray:
+        """Visited by the robot, or not bounded by the unknown as a view through a window is."""
+        return np.asarray(self.visited | (self.walls >= config.least_seen * self.edges), bool)
 
     def are_places(self, config: RegionConfig) -> BoolArray:
-        """Large enough to be in, and not bounded by the unknown all round."""
-        return np.asarray(
-            (self.areas >= config.least_area)
-            & (self.radii >= config.least_radius)
-            & (self.walls >= config.least_seen * self.edges),
-            bool,
-        )
+        """Large enough to be in, and known."""
+        return self.are_roomy(config) & self.are_known(config)
 
 
 def _join_pieces(
     sides: IntArray, widths: FloatArray, pieces: Pieces, config: RegionConfig
 ) -> IntArray:
     """New label (n + 1,) of every piece: one that is no place joins the neighbour it opens to.
+
+    A large one that is bounded by the unknown joins none: with it, the neighbour would be bounded
+    by the unknown too.
 
     Args:
         sides: (m, 2), labels beside the passages.
@@ -147,9 +156,12 @@ def _join_pieces(
         config: what a place is.
     """
     parent = np.arange(len(pieces.areas))
-    joined = Pieces(*(a.copy() for a in (pieces.areas, pieces.radii, pieces.walls, pieces.edges)))
+    joined = Pieces(
+        pieces.areas.copy(), pieces.radii.copy(), pieces.walls.copy(), pieces.edges.copy(),
+        pieces.visited.copy(),
+    )  # fmt: skip
     for piece in np.argsort(pieces.areas[1:], kind="stable") + 1:
-        if parent[piece] != piece or joined.are_places(config)[piece]:
+        if parent[piece] != piece or joined.are_roomy(config)[piece]:
             continue
         roots = parent[sides]
         leads_out = ((roots == piece).sum(axis=1) == 1) & (sides > 0).all(axis=1)
@@ -158,6 +170,7 @@ def _join_pieces(
         line = int(np.argmax(np.where(leads_out, widths, -1.0)))
         other = int(roots[line][roots[line] != piece][0])
         joined.radii[other] = max(joined.radii[other], joined.radii[piece])
+        joined.visited[other] |= joined.visited[piece]
         for values in (joined.areas, joined.walls, joined.edges):
             values[other] += values[piece]
         parent[parent == piece] = other
@@ -167,20 +180,26 @@ def _join_pieces(
 
 
 def partition_free_space(
-    free: BoolArray, is_wall: BoolArray, resolution: float, config: Config
+    free: BoolArray,
+    is_wall: BoolArray,
+    resolution: float,
+    config: Config,
+    visited: IntArray | None = None,
 ) -> Partition:
     """Split free space at its passages.
 
-    Pieces that are no place of their own (`Pieces.are_places`) join the neighbour they open to most
-    widely; those that open to none keep label 0: speckles behind windows. So do slits
-    (`narrowest`) further than half a metre from any region: rays that leaked. All other free cells
-    get a label, and so do small free-standing objects: they stand in a region.
+    Pieces too small to be a place (`Pieces.are_roomy`) join the neighbour they open to most widely;
+    those that open to none keep label 0: speckles behind windows. So do views that end in the
+    unknown (`Pieces.are_known`), and slits (`narrowest`) further than half a metre from any region:
+    rays that leaked. All other free cells get a label, and so do small free-standing objects: they
+    stand in a region.
 
     Args:
         free: (H, W) free cells.
         is_wall: (H, W) cells seen occupied (neither free nor unknown).
         resolution: m per cell.
         config: the sections `gateways` and `regions`.
+        visited: (n, 2), column and row of cells where the robot was; None: nobody knows.
     """
     gateways = config.gateways
     filled = fill_islands(free, resolution, config.regions, gateways.thickest_wall)
@@ -206,7 +225,10 @@ def partition_free_space(
     count, labels = cv2.connectedComponents(walls.astype(np.uint8), connectivity=4)
     sides = side_labels(labels, posts)
     table = _measure(labels, clearance_of(walls), space, wall_near, count)
-    pieces = Pieces(table[0] * resolution**2, table[1] * resolution, table[2], table[3])
+    was_there = np.zeros(count, bool)
+    if visited is not None:
+        was_there[labels[visited[:, 1], visited[:, 0]]] = True
+    pieces = Pieces(table[0] * resolution**2, table[1] * resolution, table[2], table[3], was_there)
     widths = np.linalg.norm(posts[:, 1] - posts[:, 0], axis=1)
     merged = _join_pieces(sides, widths, pieces, config.regions)
 

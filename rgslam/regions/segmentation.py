@@ -23,6 +23,7 @@ from rgslam.types import (
     FloatArray,
     Gateway,
     GatewayClass,
+    IntArray,
     OccupancyGrid,
     Region,
     RegionClass,
@@ -42,12 +43,14 @@ def segment_grid(
     resolution: float | None = None,
     config: Config | None = None,
     of_run: bool = False,
+    visited: FloatArray | None = None,
 ) -> Segmentation:
     """Regions and gateways of an occupancy grid or of a map image.
 
     Every free cell that is connected to a region has its label, and so have the small objects that
     stand in it, free or against a wall; pieces of free space in which nobody could stand and that
-    open to no region (speckles behind windows) have none.
+    open to no region (speckles behind windows) have none, nor have views through a window that end
+    in the unknown.
 
     Args:
         grid: the grid; or an image (H, W) as of a PNG map, row 0 at the top, at least 250 = free,
@@ -56,6 +59,8 @@ def segment_grid(
         config: the sections `gateways` and `regions` are used; None for the defaults.
         of_run: as in the map of a run: divide hallways where they meet and bend; floor plans are
             drawn without that.
+        visited: (n, 2), m, w, where the robot was: what it drove through is a place, however much
+            of the unknown is seen from there through windows. None: nobody knows.
 
     Returns:
         Labels in the rows of `OccupancyGrid` (row 0 = lowest y, an image turned upside down),
@@ -77,7 +82,8 @@ def segment_grid(
     # Comparisons with NaN (unknown) are false: unknown is neither free nor wall.
     free = np.asarray(grid.occupancy < _FREE_BELOW, bool)
     is_wall = np.asarray(grid.occupancy >= _FREE_BELOW, bool)
-    partition = partition_free_space(free, is_wall, grid.resolution, config)
+    path = None if visited is None else _cells_inside(visited, grid)
+    partition = partition_free_space(free, is_wall, grid.resolution, config, path)
     if of_run:
         partition = split_hallways(partition, free, grid.resolution, config)
     furniture = furniture_at_walls(
@@ -210,6 +216,13 @@ def _classified(
 def _hallway_probability(region: Region) -> float:
     sure = region.label_probability
     return sure if region.label is RegionClass.HALLWAY else 1.0 - sure
+
+
+def _cells_inside(w_points: FloatArray, grid: OccupancyGrid) -> IntArray:
+    """Columns and rows (n, 2) of the cells that hold world points, without those off the grid."""
+    cells = np.floor(_cells(np.asarray(w_points, float), grid)).astype(int)
+    inside = (cells >= 0) & (cells < np.array(grid.occupancy.shape[::-1]))
+    return np.asarray(cells[inside.all(axis=1)])
 
 
 def _cells(w_points: FloatArray, grid: OccupancyGrid) -> FloatArray:
