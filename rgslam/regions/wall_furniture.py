@@ -82,13 +82,9 @@ def _hidden(
     )
     # Fronts are seen as deep as the noise of a wall; what lies deeper has been looked into
     front = int(np.ceil(2.0 * _WALL_NOISE / resolution))
-    # A wall that strays by its noise leaves strips, which would join what stands at it
-    places = cv2.morphologyEx(
-        (_enclosed(bulk > 0) & ~mask).astype(np.uint8), cv2.MORPH_OPEN,
-        np.ones((front, front), np.uint8),
-    )  # fmt: skip
+    places = _enclosed(bulk > 0) & ~mask
     number, pieces, stats, _ = cv2.connectedComponentsWithStats(
-        places, connectivity=4, ltype=cv2.CV_32S
+        places.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
     )
     if number == 1:
         return np.zeros_like(inside)
