@@ -11,42 +11,33 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from dataclasses import field as dataclass_field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rgslam import __version__
 from rgslam.config import Config
+from rgslam.described_run import DescribedRun, PosedRun, Track, describe_run
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
 from rgslam.first_edges import FirstEdge
 from rgslam.frame_placing import HORIZON, FramePlacer, ScanPlace
-from rgslam.gateways import detect_crossings
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView, Rejection, contradicted
-from rgslam.observations import FrameObservations, PlacedFrame, RunMessage, observe_frame
-from rgslam.occupancy_grid import build_occupancy_grid
+from rgslam.observations import FrameObservations, RunMessage, observe_frame
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance
-from rgslam.regions import fit_to_scans, segment_grid
 from rgslam.rg_map import RGMap, RunInfo, mount_details
-from rgslam.scan_hits import hits_of
 from rgslam.scan_matching import SURFACE, LaserGeometry, ScanPoints, ScanStore, scan_points
 from rgslam.stage_clock import StageClock
 from rgslam.types import (
-    Cuboid,
     EdgeKind,
     FloatArray,
-    Gateway,
     Keyframes,
     LaserScan,
-    OccupancyGrid,
     Odometry,
     PoseEdge,
     ProgressCallback,
-    Rectangle,
-    Segmentation,
     StereoPair,
     Trajectory,
 )
@@ -54,7 +45,6 @@ from rgslam.wheel_noise import WheelNoise
 
 if TYPE_CHECKING:  # loaded when there are images: most runs have none
     from rgslam.data_association import RectangleState
-    from rgslam.fusion import Fusion, Solution
     from rgslam.fusion.online import OnlineFusion
 
 #: What a step without any motion may still be off: the wheels stand, the robot may be pushed or a
@@ -81,17 +71,6 @@ class StepResult:
     loops: tuple[LoopCandidate, ...] = ()  # loops closed in this step
 
 
-@dataclass(eq=False)
-class _Track:
-    """Where every scan is, relative to a keyframe."""
-
-    scans: list[LaserScan] = dataclass_field(default_factory=list)
-    keyframe: list[int] = dataclass_field(default_factory=list)
-    kTb: list[FloatArray] = dataclass_field(default_factory=list)
-    predicted_only: int = 0  # scans that fit nowhere
-    odd_geometry: list[int] = dataclass_field(default_factory=list)  # records
-
-
 class Mapper:
     """Builds a map from messages, one by one."""
 
@@ -108,7 +87,7 @@ class Mapper:
         self._wheels = WheelNoise()
         self._keyframe_oTb: FloatArray | None = None  # odometry at the newest keyframe
         self._frames = FramePlacer(self._odometry)
-        self._track = _Track()
+        self._track = Track()
         self._closer = LoopCloser(self.config.loop_closing)
         self._graph = PoseGraph(self.config.factor_graph.loop_kernel)
         self._geometry: LaserGeometry | None = None
@@ -441,142 +420,71 @@ class Mapper:
             tell("optimisation", 1, 2)
             covariances = self._graph.covariances(self._poses)
             tell("optimisation", 2, 2)
-        frames = self._frames.frames()
-        keyframe_scans = [self._track.scans[k] for k in self._keyframe_scans]
-        seen = any(frame.observations.rectangles for frame in frames)
-        solution: Solution | None = None
-        if seen and self.config.data_association.enabled:
-            from rgslam.fusion import solve
-
-            with self.clock.stage("fusion"):
-                tell("fusion", 0, 2)
-                solution = solve(
-                    self._poses, self._graph.edges, frames, self.config, keyframe_scans
-                )
-                self._poses = solution.keyframes
-                tell("fusion", 1, 2)
-        grid, segmentation = self._segment(keyframe_scans, progress)
-        fusion: Fusion | None = None
-        if solution is not None:
-            from rgslam.fusion import describe, mounted_frames
-
-            with self.clock.stage("fusion"):
-                solved = self._with_regions(solution, segmentation, keyframe_scans)
-                fusion = describe(solved)
-                self._poses, covariances = fusion.keyframes, fusion.covariances
-                frames = mounted_frames(frames, fusion.mounts)
-                tell("fusion", 2, 2)
-            if solved is not solution:  # the walls moved as well
-                grid, segmentation = self._segment(keyframe_scans, progress)
-        trajectory = self.trajectory()
-        gateways = detect_crossings(segmentation.gateways, trajectory)
-        rectangles: tuple[Rectangle, ...] = ()
-        cuboids: tuple[Cuboid, ...] = ()
-        decisions: dict[str, int] = {}
-        if fusion is not None:
-            from rgslam.landmarks import describe_landmarks
-
-            rectangles, cuboids = describe_landmarks(
-                fusion, segmentation.regions, self.config.landmarks
-            )
-            walls = len(fusion.landmarks) - len(rectangles)
-            decisions = {**fusion.counts, "landmarks left out: wall": walls}
+        described = describe_run(
+            PosedRun(
+                self._track,
+                [self._track.scans[k] for k in self._keyframe_scans],
+                self._poses,
+                covariances,
+                self._graph.edges,
+                self._frames.frames(),
+            ),
+            self.config,
+            self.clock,
+            progress,
+        )
+        self._poses = described.poses
         return RGMap(
-            regions=segmentation.regions,
-            gateways=gateways,
-            trajectory=trajectory,
-            keyframes=self._keyframes(covariances),
+            regions=described.segmentation.regions,
+            gateways=described.gateways,
+            trajectory=described.trajectory,
+            keyframes=self._keyframes(described.covariances),
             edges=tuple(self._graph.edges),
-            grid=grid,
+            grid=described.grid,
             config=self.config,
-            rectangles=rectangles,
-            cuboids=cuboids,
-            frames=tuple(frames),
+            rectangles=described.rectangles,
+            cuboids=described.cuboids,
+            frames=tuple(described.frames),
             run=RunInfo(
                 version=__version__,
                 recording=recording,
-                counts=self._counts(len(segmentation.regions), gateways, frames, len(rectangles)),
+                counts=self._counts(described),
                 seconds=self.clock.seconds(),
                 peak_memory_mb=self.clock.peak_memory_mb(),
-                warnings=(*warnings, *self._warnings(), *segmentation.warnings),
+                warnings=(*warnings, *self._warnings(), *described.segmentation.warnings),
                 partial=partial,
                 details={
                     "loops": self._loop_details(),
-                    "fusion": decisions,
-                    "camera_mounts": [] if fusion is None else mount_details(fusion.mounts),
+                    "fusion": described.decisions,
+                    "camera_mounts": mount_details(described.mounts),
                 },
             ),
         )
 
-    def _segment(
-        self, keyframe_scans: list[LaserScan], progress: ProgressCallback | None
-    ) -> tuple[OccupancyGrid, Segmentation]:
-        """Free space, and the regions and gateways in it, for the poses as they are now."""
-        with self.clock.stage("occupancy grid"):
-            grid = build_occupancy_grid(
-                self._track.scans, self.trajectory().wTb, self.config.occupancy_grid, progress
-            )
-        with self.clock.stage("regions and gateways"):
-            if progress is not None:
-                progress("regions and gateways", 0, 1)
-            segmentation = segment_grid(
-                grid, config=self.config, of_run=True, visited=self._poses[:, :2]
-            )
-            # Walls and posts where the beams ended, not where cells begin
-            hits = hits_of(keyframe_scans, self._poses)
-            segmentation = fit_to_scans(segmentation, hits, grid.resolution, self.config)
-            if progress is not None:
-                progress("regions and gateways", 1, 1)
-        return grid, segmentation
-
-    def _with_regions(
-        self, solution: Solution, segmentation: Segmentation, keyframe_scans: list[LaserScan]
-    ) -> Solution:
-        """The joint graph with what keyframes saw of regions' axes and of gateways' posts."""
-        from rgslam.fusion import with_regions
-        from rgslam.region_evidence import axis_sights, post_sights
-
-        config, axes, posts = self.config.factor_graph, [], []
-        if config.region_axes:
-            axes = axis_sights(segmentation.regions, keyframe_scans, self._poses)
-        if config.gateway_posts:
-            sizes = self.config.occupancy_grid.resolution, self.config.gateways.thickest_wall
-            posts = post_sights(segmentation.gateways, keyframe_scans, self._poses, *sizes)
-        return with_regions(solution, axes, posts) if axes or posts else solution
-
     def trajectory(self) -> Trajectory:
         """Poses of all scans so far, in the order in which they came."""
-        track = self._track
-        stamps = np.array([scan.stamp for scan in track.scans])
-        anchors = self._poses[track.keyframe] if len(self._poses) else np.zeros((len(stamps), 3))
-        return Trajectory(stamps, compose(anchors, np.array(track.kTb).reshape(-1, 3)))
+        return self._track.trajectory(self._poses)
 
     def _keyframes(self, covariances: FloatArray) -> Keyframes:
         indices = np.array(self._keyframe_scans, np.int64)
         stamps = np.array([self._track.scans[k].stamp for k in indices])
         return Keyframes(indices, stamps, self._poses.copy(), covariances)
 
-    def _counts(
-        self,
-        regions: int,
-        gateways: tuple[Gateway, ...],
-        frames: list[PlacedFrame],
-        rectangles: int,
-    ) -> dict[str, int]:
+    def _counts(self, described: DescribedRun) -> dict[str, int]:
         counts = {
             "scans": len(self._track.scans),
             "scans_predicted_only": self._track.predicted_only,
             "keyframes": len(self._poses),
             "loops_accepted": len(self._closer.accepted),
             "loops_rejected": len(self._closer.rejected),
-            "regions": regions,
-            "gateways": len(gateways),
-            "crossings": sum(len(gateway.crossings) for gateway in gateways),
+            "regions": len(described.segmentation.regions),
+            "gateways": len(described.gateways),
+            "crossings": sum(len(gateway.crossings) for gateway in described.gateways),
         }
-        if frames:
-            counts["stereo_frames"] = len(frames)
-            counts["observations"] = sum(len(f.observations.rectangles) for f in frames)
-            counts["rectangles"] = rectangles
+        if described.frames:
+            counts["stereo_frames"] = len(described.frames)
+            counts["observations"] = sum(len(f.observations.rectangles) for f in described.frames)
+            counts["rectangles"] = len(described.rectangles)
         for reason, count in sorted(self._closer.counts().items()):
             counts[f"loops_rejected: {reason}"] = count
         return counts
