@@ -424,3 +424,17 @@ def test_packed_text_is_decompressed_in_a_thread_that_ends(
             text if taken is None else b"".join(text.splitlines(keepends=True)[:taken])
         )
     assert "decompress" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_what_goes_wrong_in_the_thread_reaches_the_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(self: gzip.GzipFile, size: int = -1) -> bytes:
+        raise MemoryError
+
+    path = tmp_path / "run.log.gz"
+    path.write_bytes(gzip.compress(b"FLASER 0\n"))
+    monkeypatch.setattr(gzip.GzipFile, "read", no_room)
+    with LineStream(path) as lines, pytest.raises(MemoryError):
+        list(lines)
+    assert "decompress" not in [thread.name for thread in threading.enumerate()]

@@ -154,7 +154,7 @@ class _ReadAhead(io.RawIOBase):
         while not self._stopped:
             try:
                 block = self._packed.read1(_BLOCK_BYTES)
-            except (EOFError, OSError, zlib.error) as error:
+            except Exception as error:  # whatever it is, the reader waits for it and raises it
                 self._blocks.put(error)
                 return
             self._blocks.put(block)
