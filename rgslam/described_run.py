@@ -108,7 +108,7 @@ def describe_run(
             solution = solve(run.poses, run.edges, run.frames, config, run.keyframe_scans)
             run = replace(run, poses=solution.keyframes)
             tell("fusion", 1, 2)
-    grid, segmentation = _segment(run, config, clock, progress)
+    grid, segmentation = _segment(run, config, clock, tell)
     fusion: Fusion | None = None
     if solution is not None:
         from rgslam.fusion import describe, mounted_frames
@@ -122,7 +122,7 @@ def describe_run(
             )
             tell("fusion", 2, 2)
         if solved is not solution:  # the walls moved as well
-            grid, segmentation = _segment(run, config, clock, progress)
+            grid, segmentation = _segment(run, config, clock, tell)
     trajectory = run.track.trajectory(run.poses)
     described = DescribedRun(
         poses=run.poses,
@@ -137,21 +137,19 @@ def describe_run(
 
 
 def _segment(
-    run: PosedRun, config: Config, clock: StageClock, progress: ProgressCallback | None
+    run: PosedRun, config: Config, clock: StageClock, tell: ProgressCallback
 ) -> tuple[OccupancyGrid, Segmentation]:
     """Free space, and the regions and gateways in it."""
     with clock.stage("occupancy grid"):
         wTb = run.track.trajectory(run.poses).wTb
-        grid = build_occupancy_grid(run.track.scans, wTb, config.occupancy_grid, progress)
+        grid = build_occupancy_grid(run.track.scans, wTb, config.occupancy_grid, tell)
     with clock.stage("regions and gateways"):
-        if progress is not None:
-            progress("regions and gateways", 0, 1)
+        tell("regions and gateways", 0, 1)
         segmentation = segment_grid(grid, config=config, of_run=True, visited=run.poses[:, :2])
         # Walls and posts where the beams ended, not where cells begin
         hits = hits_of(run.keyframe_scans, run.poses)
         segmentation = fit_to_scans(segmentation, hits, grid.resolution, config)
-        if progress is not None:
-            progress("regions and gateways", 1, 1)
+        tell("regions and gateways", 1, 1)
     return grid, segmentation
 
 

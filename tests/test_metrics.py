@@ -34,7 +34,7 @@ from rgslam.metrics import (
     trajectory_errors,
 )
 from rgslam.metrics.against_truth import align, relative_errors
-from rgslam.metrics.consistency import pose2_log
+from rgslam.metrics.consistency import pooled, pose2_log
 from rgslam.observation_file import encode_observations
 from rgslam.truth import Truth, TruthFrame, TruthGateway, TruthRegion, read_truth
 from rgslam.types import (
@@ -304,6 +304,17 @@ def test_nees_of_honest_errors_lies_in_its_band_and_of_others_outside() -> None:
     assert honest.inside == pytest.approx(0.95, abs=0.02)
     assert nees(1.3 * errors, covariances).mean > honest.band[1]
     assert nees(errors, 1.3 * covariances).mean < honest.band[0]
+
+
+def test_nees_of_runs_together_is_that_of_all_their_errors() -> None:
+    rng = np.random.default_rng(3)
+    errors, covariances = rng.normal(size=(50, 3)), np.tile(np.eye(3), (50, 1, 1))
+    covariances[7] = np.zeros((3, 3))
+    whole = nees(errors, covariances)
+    parts = pooled([nees(errors[:20], covariances[:20]), nees(errors[20:], covariances[20:])])
+    np.testing.assert_array_equal(parts.values, whole.values)
+    assert (parts.mean, parts.band, parts.inside) == (whole.mean, whole.band, whole.inside)
+    assert (parts.dimension, parts.improper) == (3, 1)
 
 
 def test_nees_counts_improper_covariances_apart() -> None:

@@ -26,6 +26,7 @@ from rgslam.experiments.regions import (
     plan_names,
     read_plan,
 )
+from rgslam.geometry import rotation
 from rgslam.metrics.against_truth import best_pairs
 from rgslam.metrics.label_images import LabelImage, score_gateways, score_regions, true_gateways
 from rgslam.regions import segment_grid
@@ -102,8 +103,7 @@ def _turned(
     plan: GreyImage, truth: LabelImage, resolution: float, degrees: float = 0.0,
     mirror: bool = False,
 ) -> ChangedPlan:  # fmt: skip
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    turn = np.array([[c, -s], [s, c]]) @ np.diag([-1.0 if mirror else 1.0, 1.0])
+    turn = rotation(np.radians(degrees)) @ np.diag([-1.0 if mirror else 1.0, 1.0])
     return _warped(plan, truth, resolution, turn)
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.special import chdtri
 
 from rgslam.config import Config
 from rgslam.experiments.json_values import to_json
@@ -18,7 +17,7 @@ from rgslam.experiments.landmark_sights import SightScores, score_sights
 from rgslam.fusion import fuse_landmarks
 from rgslam.landmarks import describe_landmarks
 from rgslam.metrics.against_truth import trajectory_errors
-from rgslam.metrics.consistency import Nees, keyframe_errors, nees
+from rgslam.metrics.consistency import Nees, keyframe_errors, nees, pooled
 from rgslam.metrics.rectangles import (
     LandmarkErrors,
     ObservationErrors,
@@ -251,8 +250,5 @@ def _consistency(parts: Sequence[Nees | str]) -> tuple[float, float, tuple[float
     known = [part for part in parts if isinstance(part, Nees)]
     if not known:
         return NAN, NAN, (NAN, NAN)
-    values = np.concatenate([part.values for part in known])
-    inside = np.average([part.inside for part in known], weights=[len(p.values) for p in known])
-    freedom = known[0].dimension * len(values)
-    low, high = (float(chdtri(freedom, tail)) / len(values) for tail in (0.975, 0.025))
-    return float(values.mean()), float(inside), (low, high)
+    together = pooled(known)
+    return together.mean, together.inside, together.band

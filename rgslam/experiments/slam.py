@@ -19,6 +19,7 @@ from rgslam.config import Config
 from rgslam.errors import EvaluationError
 from rgslam.experiments.ablations import ABLATIONS, AlteredRecording
 from rgslam.experiments.json_values import to_json
+from rgslam.factor_graph import mahalanobis
 from rgslam.geometry import between
 from rgslam.loaders import open_recording
 from rgslam.metrics import keyframe_errors, kuemmerle, nees, read_relations, trajectory_errors
@@ -247,10 +248,8 @@ def wrong_loops(found: RGMap, truth: Truth) -> int:
     true = truth.trajectory.wTb[found.keyframes.scan_indices]
     i, j = np.array([(edge.i, edge.j) for edge in loops]).T
     errors = between(np.array([edge.iTj for edge in loops]), between(true[i], true[j]))
-    covariances = np.array([edge.covariance for edge in loops])
-    off = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
     far = np.hypot(errors[:, 0], errors[:, 1]) > _WRONG_LOOP
-    return int(np.count_nonzero(far & (off > _CHI2_3_99)))
+    return int(np.count_nonzero(far & (mahalanobis(loops, true) ** 2 > _CHI2_3_99)))
 
 
 def _plot_errors(folder: Path, title: str, relations: Relations, errors: RelationErrors) -> None:

@@ -21,11 +21,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from rgslam.data_association import FramePose, RectangleState, Track, project_points
+from rgslam.rectangles.least_squares import OUTWARD
 from rgslam.types import FloatArray
 
-#: Sides by their corners, and where outside is in the plane of the rectangle.
+#: Sides by their corners.
 _SIDES = ((0, 1), (1, 2), (2, 3), (3, 0))
-_OUTWARD = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 #: Probability at which sights that agree contradict each other so much.
 _BY_CHANCE = 0.01
 #: A row is the mean of both images', which halves its variance; columns are of one each.
@@ -56,7 +56,7 @@ def _shared_offsets(
     # The pixels' own noise is what the clearest side shows
     offsets = np.mean((variances - variances.min()) / rates**2, axis=0)
     spread = np.zeros((12, 12))
-    for (a, b), out, variance in zip(_SIDES, _OUTWARD, offsets, strict=True):
+    for (a, b), out, variance in zip(_SIDES, OUTWARD, offsets, strict=True):
         for way in (state.wTr[:3, :2] @ out, state.wTr[:3, 2]):
             moved = np.zeros((4, 3))
             moved[[a, b]] = way
@@ -75,7 +75,7 @@ def _side_variances(
         along = pixels[b, [0, 2]] - pixels[a, [0, 2]]
         across = np.array([-along[1], 0.0, along[0]]) / np.hypot(*along)  # of x left, x right, y
         variances[s] = across @ (covariances[a] + covariances[b]) @ across / 4.0
-        moved = by_point[[a, b]] @ (state.wTr[:3, :2] @ _OUTWARD[s])
+        moved = by_point[[a, b]] @ (state.wTr[:3, :2] @ OUTWARD[s])
         rates[s] = np.abs(moved @ across).mean()
     return variances, rates
 

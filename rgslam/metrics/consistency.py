@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,12 @@ def nees(errors: FloatArray, covariances: FloatArray) -> Nees:
     e, p = errors[proper], covariances[proper]
     values = np.einsum("ni,ni->n", e, np.linalg.solve(p, e[..., None])[..., 0])
     return _summary(values, errors.shape[1], int(np.count_nonzero(~proper)))
+
+
+def pooled(parts: Sequence[Nees]) -> Nees:
+    """All errors of some runs (one at least) as one."""
+    values = np.concatenate([part.values for part in parts])
+    return _summary(values, parts[0].dimension, sum(part.improper for part in parts))
 
 
 def keyframe_errors(keyframes: Keyframes, truth: Trajectory) -> tuple[FloatArray, FloatArray]:

@@ -22,6 +22,8 @@ from rgslam.types import FloatArray
 
 #: Sign of x and y of the corners in the rectangle's frame: from the lower left, counter-clockwise.
 SIDE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+#: Where outside is in that frame, of side s, which joins corners s and s + 1.
+OUTWARD = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 
 UNKNOWNS = 8
 RESIDUALS = 20  # left pixels 8, right pixels 8, depths 4

@@ -16,18 +16,18 @@ import numpy as np
 from rgslam.camera import StereoCamera
 from rgslam.rectangles.detected import DetectedRectangle
 from rgslam.rectangles.edges_beside import THICKEST
+from rgslam.rectangles.least_squares import OUTWARD
 from rgslam.types import FloatArray
 
 _THICKNESS = THICKEST / math.sqrt(3.0)  # m, root mean square, where all up to it are as likely
 _ALL_AROUND = 0.5  # of what the side itself moves
 _STEP = 1e-3  # m, small enough for a derivative
-_OUTWARD = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])  # of side s, in its plane
 
 
 def of_side_faces(found: DetectedRectangle, camera: StereoCamera) -> FloatArray:
     """Covariances (2, 8, 8), px^2, of the corners of a frame in either image."""
     eye = -found.rotation.T @ found.translation  # in the rectangle's frame
-    beyond = np.maximum(_OUTWARD @ eye[:2] - 0.5 * np.tile(found.size[::-1], 2), 0.0)
+    beyond = np.maximum(OUTWARD @ eye[:2] - 0.5 * np.tile(found.size[::-1], 2), 0.0)
     visible = _THICKNESS * beyond / max(float(eye[2]), 1e-6)  # (4,), m of the rectangle's plane
     moves = _moves(found, camera)
     added = np.zeros((2, 8, 8))
@@ -43,7 +43,7 @@ def _moves(found: DetectedRectangle, camera: StereoCamera) -> FloatArray:
     result = np.zeros((4, 2, 8))
     for side in range(4):
         corners = found.corners.copy()
-        corners[[side, (side + 1) % 4]] += _STEP * found.rotation[:, :2] @ _OUTWARD[side]
+        corners[[side, (side + 1) % 4]] += _STEP * found.rotation[:, :2] @ OUTWARD[side]
         for i, project in enumerate((camera.project, camera.project_right)):
             result[side, i] = ((project(corners) - project(found.corners)) / _STEP).ravel()
     return result

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 
 import cv2
@@ -156,10 +157,7 @@ def _join_pieces(
         config: what a place is.
     """
     parent = np.arange(len(pieces.areas))
-    joined = Pieces(
-        pieces.areas.copy(), pieces.radii.copy(), pieces.walls.copy(), pieces.edges.copy(),
-        pieces.visited.copy(),
-    )  # fmt: skip
+    joined = deepcopy(pieces)
     for piece in np.argsort(pieces.areas[1:], kind="stable") + 1:
         if parent[piece] != piece or joined.are_roomy(config)[piece]:
             continue

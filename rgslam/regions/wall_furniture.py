@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgslam.config import Config
+from rgslam.geometry import rotation
 from rgslam.line_segments import main_axes
 from rgslam.outlines import trace_outlines
 from rgslam.regions.description import region_boxes
@@ -156,9 +157,8 @@ def _turn_to_walls(inside: BoolArray) -> tuple[FloatArray, tuple[int, int]]:
     height, width = inside.shape
     if abs(angle) * max(height, width) < 1.0:
         angle = 0.0
-    c, s = np.cos(angle), np.sin(angle)
-    rotation = np.array([[c, s], [-s, c]])
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], float) @ rotation.T
+    turn = rotation(-angle)
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]], float) @ turn.T
     low = np.floor(corners.min(axis=0))
     columns, rows = np.ceil(corners.max(axis=0) - low).astype(int).tolist()
-    return np.concatenate([rotation, -low[:, None]], axis=1), (columns + 1, rows + 1)
+    return np.concatenate([turn, -low[:, None]], axis=1), (columns + 1, rows + 1)
