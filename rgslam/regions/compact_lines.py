@@ -68,6 +68,7 @@ def compact_lines(
     polygon = Polygon(outline)
     prepare(polygon)
     x, y = np.ascontiguousarray(hits.points.T)
+    posts = np.array([gateway.points for gateway in gateways]).reshape(-1, 2, 2)
     found = []
     for line in sorted(lines, key=lambda line: -line.length):
         (x0, y0), (nx, ny) = line.endpoints[0], line.across
@@ -81,7 +82,7 @@ def compact_lines(
         if _steps(place, line.length, left[strip]) < _OWN * seen:
             continue
         for _ in range(_ROUNDS):
-            line = _grown(line, near, left[strip], gateways, polygon, gap)
+            line = _grown(line, near, left[strip], posts, polygon, gap)
         if line.length < _SHORTEST:
             continue
         place = _along(line, near)
@@ -126,11 +127,20 @@ def _grown(
     line: LineSegment,
     hits: Hits,
     left: Mask,
-    gateways: Sequence[Gateway],
+    gateways: FloatArray,
     outline: Polygon,
     gap: float,
 ) -> LineSegment:
-    """The line fitted to all points that are left and continue it without a gap or a gateway."""
+    """The line fitted to all points that are left and continue it without a gap or a gateway.
+
+    Args:
+        line: to start from.
+        hits: near it.
+        left: (n,), which of them no other line explains.
+        gateways: (g, 2, 2), posts.
+        outline: of the region.
+        gap: m, that a wall may have.
+    """
     place = _along(line, hits)
     low, high = _limits(line, gateways)
     on = _on(place) & left & (place.t >= low) & (place.t <= high)
@@ -168,17 +178,12 @@ def _runs(line: LineSegment, steps: IntArray, outline: Polygon, gap: float) -> I
     return np.concatenate([[0], np.cumsum(breaks)])
 
 
-def _limits(line: LineSegment, gateways: Sequence[Gateway]) -> tuple[float, float]:
-    """How far along the line there is no gateway in it, from its first end."""
-    low, high = -np.inf, np.inf
-    for gateway in gateways:
-        offset = gateway.points - line.endpoints[0]
-        t, d = offset @ line.along, offset @ line.across
-        if np.abs(d).min() > _JAMB or abs(d[1] - d[0]) > abs(t[1] - t[0]):
-            continue
-        middle = float(t.mean())
-        if middle > 0.5 * line.length:
-            high = min(high, float(t.min()))
-        else:
-            low = max(low, float(t.max()))
+def _limits(line: LineSegment, gateways: FloatArray) -> tuple[float, float]:
+    """How far along the line there is no gateway (g, 2, 2) in it, from its first end."""
+    offset = gateways - line.endpoints[0]
+    t, d = offset @ line.along, offset @ line.across
+    in_line = (np.abs(d).min(axis=1) <= _JAMB) & (np.ptp(d, axis=1) <= np.ptp(t, axis=1))
+    ahead = t.mean(axis=1) > 0.5 * line.length
+    high = float(t[in_line & ahead].min(initial=np.inf))
+    low = float(t[in_line & ~ahead].max(initial=-np.inf))
     return min(low, 0.0), max(high, line.length)

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from rgslam.config import GatewayConfig, RegionConfig
 from rgslam.gateways.passages import Passages
@@ -21,22 +23,43 @@ LabelArray = npt.NDArray[np.int32]
 _COMPACT = 0.6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Island:
     """Something that stands alone in the free space."""
 
     label: int
     cells: int
     box: tuple[int, int, int, int]  # cells: first column, first row, width, height
-    length: float  # cells, longer side of its smallest rectangle, between the cells' centres
-    depth: float  # cells, shorter side of the same
+    pieces: LabelArray  # (H, W), of which it is one
+
+    @cached_property
+    def _sides(self) -> tuple[float, float]:
+        x, y, w, h = self.box
+        own = self.pieces[y : y + h, x : x + w] == self.label
+        rows = np.flatnonzero(own.any(axis=1))
+        ends = own[rows].argmax(axis=1), w - 1 - own[rows, ::-1].argmax(axis=1)
+        # Its hull is that of the ends of its rows, which are far fewer than its cells
+        points = np.column_stack([np.tile(rows, 2), np.concatenate(ends)])
+        _, (a, b), _ = cv2.minAreaRect(points.astype(np.float32))
+        return max(a, b), min(a, b)
+
+    @property
+    def length(self) -> float:
+        """Longer side of its smallest rectangle, between the cells' centres, cells."""
+        return self._sides[0]
+
+    @property
+    def depth(self) -> float:
+        """Shorter side of the same, cells."""
+        return self._sides[1]
 
     def is_furniture_size(self, resolution: float, regions: RegionConfig) -> bool:
         """Whether furniture is as long and as deep; `resolution` in m per cell."""
-        return (
-            self.length * resolution <= regions.largest_furniture
-            and self.depth * resolution <= regions.deepest_furniture
-        )
+        sizes = regions.largest_furniture, regions.deepest_furniture
+        # Large maps hold specks by the ten thousand, which are small whichever way they lie
+        if np.hypot(self.box[2] - 1, self.box[3] - 1) * resolution <= min(sizes):
+            return True
+        return self.length * resolution <= sizes[0] and self.depth * resolution <= sizes[1]
 
 
 def find_islands(free: BoolArray) -> tuple[LabelArray, list[Island]]:
@@ -45,14 +68,22 @@ def find_islands(free: BoolArray) -> tuple[LabelArray, list[Island]]:
         (~free).astype(np.uint8), connectivity=8, ltype=cv2.CV_32S
     )
     height, width = free.shape
+    pieces = np.asarray(labels, np.int32)
+    x, y, w, h, _ = stats.T
+    alone = (x > 0) & (y > 0) & (x + w < width) & (y + h < height)
+    alone[0] = False
     islands = []
-    for i, (x, y, w, h, cells) in enumerate(stats.tolist()):
-        if i == 0 or x == 0 or y == 0 or x + w == width or y + h == height:
-            continue
-        points = np.argwhere(labels[y : y + h, x : x + w] == i).astype(np.float32)
-        _, sides, _ = cv2.minAreaRect(points)
-        islands.append(Island(i, cells, (x, y, w, h), max(sides), min(sides)))
-    return np.asarray(labels, np.int32), islands
+    for i in np.flatnonzero(alone).tolist():
+        *box, cells = stats[i].tolist()
+        islands.append(Island(i, cells, (box[0], box[1], box[2], box[3]), pieces))
+    return pieces, islands
+
+
+def _cells_of(labels: LabelArray, chosen: list[int]) -> BoolArray:
+    """Cells (H, W) that have one of the chosen labels."""
+    is_chosen = np.zeros(int(labels.max(initial=0)) + 1, bool)
+    is_chosen[chosen] = True
+    return np.asarray(is_chosen[labels], bool)
 
 
 def fill_islands(
@@ -81,7 +112,7 @@ def fill_islands(
             and island.cells >= _COMPACT * (island.length + 1.0) * (island.depth + 1.0)
         )
     ]
-    return free | np.isin(labels, filled)
+    return free | _cells_of(labels, filled)
 
 
 def islands_in_regions(
@@ -95,19 +126,35 @@ def islands_in_regions(
         resolution: m per cell.
         regions: how large furniture is.
     """
-    found = labels.copy()
     pieces, islands = find_islands(free)
+    least, most = _labels_around(np.ascontiguousarray(labels), pieces, int(pieces.max(initial=0)))
+    region_of = np.zeros(len(least), np.int32)
     for island in islands:
-        if not island.is_furniture_size(resolution, regions):
-            continue
-        x, y, w, h = island.box  # an island never touches the margin
-        part = np.s_[y - 1 : y + h + 1, x - 1 : x + w + 1]
-        cells = pieces[part] == island.label
-        around = cv2.dilate(cells.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        beside = np.unique(labels[part][around & ~cells])
-        if len(beside) == 1:
-            found[part][cells] = beside[0]
-    return found
+        i = island.label
+        if least[i] == most[i] and island.is_furniture_size(resolution, regions):
+            region_of[i] = least[i]
+    return np.where(region_of[pieces] > 0, region_of[pieces], labels)
+
+
+@njit(cache=True)
+def _labels_around(
+    labels: LabelArray, pieces: LabelArray, count: int
+) -> tuple[LabelArray, LabelArray]:
+    """Smallest and largest label (count + 1,) on the free cells beside each piece."""
+    rows, cols = labels.shape
+    least = np.full(count + 1, np.iinfo(np.int32).max, np.int32)
+    most = np.full(count + 1, -1, np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            i = pieces[row, col]
+            if i == 0:
+                continue
+            for r in range(max(row - 1, 0), min(row + 2, rows)):
+                for c in range(max(col - 1, 0), min(col + 2, cols)):
+                    if pieces[r, c] == 0:
+                        least[i] = min(least[i], labels[r, c])
+                        most[i] = max(most[i], labels[r, c])
+    return least, most
 
 
 def open_screens(
@@ -135,9 +182,10 @@ def open_screens(
     at_ends = [_labels_beside(labels, line) for line in passages.ends]
     screens: list[int] = []
     ends_on_one = np.zeros(len(lengths), bool)
-    for island in islands:
+    touched = set().union(*at_ends)
+    for island in (island for island in islands if island.label in touched):
         own = np.array([island.label in found for found in at_ends], bool)
-        if not own.any() or island.depth * resolution > config.thickest_wall:
+        if island.depth * resolution > config.thickest_wall:
             continue
         way = float(lengths[own].sum())
         mostly_open = way > config.mean_narrowing * (way + island.length)
@@ -145,7 +193,7 @@ def open_screens(
         if mostly_open and not has_door and not _parallel(across[own], config.alignment_deg):
             screens.append(island.label)
             ends_on_one |= own
-    return np.isin(labels, screens), ends_on_one
+    return _cells_of(labels, screens), ends_on_one
 
 
 def _parallel(directions: FloatArray, tolerance_deg: float) -> bool:
