@@ -403,6 +403,8 @@ def test_wrong_worlds_name_the_place(changes: dict[str, object], message: str) -
          "rectangles: [{name: a, size: [0, 1], at: [0, 0], facing_deg: 0}]\n",
          r"rectangles\.0\.size\.0"),
         ("name: x\nwalls: [{points: [[0, 0], [1, 0]]}]\nroute: {way_points: [[0, 0], [1, 1]]}\n"
+         "furniture: [{name: a, size: [1, 0], centre: [0, 0]}]\n", r"furniture\.0\.size\.1"),
+        ("name: x\nwalls: [{points: [[0, 0], [1, 0]]}]\nroute: {way_points: [[0, 0], [1, 1]]}\n"
          "sensors: {stereo: {base_line: 0.2}}\n", r"sensors\.stereo\.base_line"),
     ],
 )  # fmt: skip
@@ -486,6 +488,12 @@ def test_a_route_that_cannot_be_followed_ends() -> None:
     )
     with pytest.raises(WorldError, match="stuck"):
         drive(circling)
+
+
+def test_a_route_that_takes_days_is_refused_at_once() -> None:
+    far = Route.model_validate({"way_points": [[0, 0], [3, 0], [3, 1e9]], "speed": 1.0})
+    with pytest.raises(WorldError, match=r"way_points\.2: 1e\+09 m at 1 m/s.* at most 24 h"):
+        drive(far)
 
 
 # --- Large buildings ------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ _LOOK_AHEAD = 0.35  # m, about the robot's length: it cuts corners by a third of
 _TURN_ON_SPOT = math.radians(60.0)  # farther to the side than this, turn first
 _STEER = 2.0  # 1/s, turn rate per heading error
 _ARRIVED = 0.05  # m
+_LONGEST = 24.0  # h, no battery lasts longer, and every hour takes 40 MB here
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +49,25 @@ def drive(route: Route) -> Drive:
     """Drive the route from the first way point to the last.
 
     Raises:
-        WorldError: the robot cannot follow (limits too tight for the way points).
+        WorldError: the robot cannot follow (limits too tight for the way points), or would be on
+            its way for more than a day.
     """
     points = np.array([w.at for w in route.way_points], float)
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if not np.all(lengths > 0.0):
         i = int(np.argmin(lengths))
         raise WorldError(f"route.way_points.{i + 1}: same place as the one before, {points[i]}")
+    speeds = [w.speed or route.speed for w in route.way_points[1:]]
+    hours = lengths / speeds / 3600.0
+    if hours.sum() > _LONGEST:
+        i = int(np.argmax(hours))
+        raise WorldError(
+            f"route.way_points.{i + 1}: {lengths[i]:g} m at {speeds[i]:g} m/s: the whole drive "
+            f"would take {hours.sum():.3g} h, at most {_LONGEST:g} h"
+        )
     first = points[1] - points[0]
     pose = (points[0, 0], points[0, 1], math.atan2(first[1], first[0]))
-    carrot = _Carrot(points, lengths, [w.speed or route.speed for w in route.way_points[1:]])
+    carrot = _Carrot(points, lengths, speeds)
 
     rest_steps = round(route.rest / _STEP) + 1
     poses, velocities = [pose] * rest_steps, [(0.0, 0.0)] * rest_steps

@@ -26,6 +26,9 @@ BUILT_IN_WORLDS = ("office", "hallway_loop", "lobby", "museum")
 #: Share of the light that a surface returns: 0 black, 1 white.
 Tone = Annotated[float, Field(ge=0.0, le=1.0)]
 
+Length = Annotated[float, Field(gt=0.0)]  # m
+Size = tuple[Length, Length]  # m
+
 
 class Surface(Enum):
     """What a thing is covered with: how it looks, not where it is."""
@@ -120,7 +123,7 @@ class Rectangle(Part):
 
     name: str
     label: str = "poster"  # what it is
-    size: tuple[Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]]  # m, wide, high
+    size: Size  # m, wide, high
     at: Point  # its middle in plan; on a wall: a point up to 0.5 m before the wall
     centre_height: float = Field(1.5, ge=0.0)  # m, its middle above the floor
     facing_deg: float  # direction in plan that it looks in, from x counter-clockwise
@@ -138,7 +141,7 @@ class Box(Part):
 
     name: str
     centre: Point
-    size: tuple[float, float]  # along its own x and y, m
+    size: Size  # along its own x and y, m
     yaw_deg: float = 0.0
     bottom: float = Field(0.0, ge=0.0)  # m above the floor
     height: float = Field(0.75, gt=0.0)  # m, from bottom to top
@@ -150,7 +153,7 @@ class Box(Part):
 class Lighting(Part):
     """Lamps in the ceiling of every area, and daylight through the windows."""
 
-    lamp_size: tuple[float, float] = (1.2, 0.3)  # m
+    lamp_size: Size = (1.2, 0.3)  # m
     lamp_spacing: float = Field(2.6, gt=0.5)  # m, about; every area has at least one lamp
     lamps: Tone = 0.8  # brightness of the lamps' light
     daylight: Tone = 0.7  # brightness of the windows
