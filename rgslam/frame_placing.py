@@ -10,7 +10,7 @@ spread over the way.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,7 +36,7 @@ class ScanPlace:
     keyframe: int  # number of the newest keyframe
     kTb: FloatArray  # (3,), pose in that keyframe
     wheels: FloatArray  # (3, 3), covariance of the odometry since that keyframe, tangent at kTb
-    laser: FloatArray  # (3, 3), information of the match on the same motion
+    laser: Callable[[], FloatArray]  # gives (3, 3), information of the match on the same motion
     step: FloatArray  # (3, 3), covariance of the odometry since the scan before, tangent at kTb
 
     @property
@@ -44,7 +44,7 @@ class ScanPlace:
         """Covariance (3, 3) of kTb, tangent space at kTb; laser and wheels both count."""
         if not self.wheels.any():
             return np.zeros((3, 3))  # the keyframe itself
-        found: FloatArray = np.linalg.inv(self.laser + np.linalg.inv(self.wheels))
+        found: FloatArray = np.linalg.inv(self.laser() + np.linalg.inv(self.wheels))
         return found
 
     def as_keyframe(self, number: int) -> ScanPlace:

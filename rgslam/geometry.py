@@ -96,8 +96,9 @@ def adjoint(aTb: FloatArray) -> FloatArray:
 
     Same convention as `gtsam.Pose2.AdjointMap`.
     """
-    c, s = np.cos(aTb[2]), np.sin(aTb[2])
-    return np.array([[c, -s, aTb[1]], [s, c, -aTb[0]], [0.0, 0.0, 1.0]])
+    x, y, theta = np.asarray(aTb, float).tolist()
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]])
 
 
 def adjoints(aTb: FloatArray) -> FloatArray:

@@ -63,6 +63,11 @@ class Motion:
     bTc: FloatArray  # (3,)
     covariance: FloatArray  # (3, 3), at its end
 
+    @cached_property
+    def information(self) -> FloatArray:
+        """(3, 3), the inverse."""
+        return np.asarray(np.linalg.inv(self.covariance), np.float64)
+
 
 @dataclass(frozen=True, eq=False)
 class LocalMatch:
@@ -112,8 +117,9 @@ class LocalMap:
         first = max(0, len(poses) - self._config.local_keyframes)
         recent = self._store.in_world(np.arange(first, len(poses)), poses[first:])
         self._surfels = build_surfel_map(*recent, self._config.resolution)
-        offsets = np.abs(self._surfels.surfels.points - poses[-1, :2])
-        self._lever = float(np.median(offsets.max(axis=1)))
+        # Column by column: NumPy reduces the long axis of a narrow array slowly
+        x, y = np.abs(self._surfels.surfels.points - poses[-1, :2]).T
+        self._lever = float(np.median(np.maximum(x, y)))
 
     def match(
         self,
@@ -210,14 +216,14 @@ class LocalMap:
         registration, and the scan then fits as scans do here.
         """
         prediction = compose(start, motion.bTc)
-        direct = self._register(scan, prediction, prediction, motion.covariance)
+        direct = self._register(scan, prediction, prediction, motion.information)
         if direct.inliers >= self._usual_inliers and self._within_reach(
             between(prediction, direct.wTb)
         ):
             return direct
         coarse = self._correlate(scan, prediction, motion)
         doubt = _doubt(between(prediction, coarse), motion.covariance)
-        return self._register(scan, coarse, prediction, motion.covariance * doubt)
+        return self._register(scan, coarse, prediction, motion.information / doubt)
 
     def _within_reach(self, moved: FloatArray) -> bool:
         """Whether a correction moves most of what is seen by less than half the gate."""
@@ -225,12 +231,11 @@ class LocalMap:
         return math.hypot(x, y) + self._lever * abs(turn) < 0.5 * self._reach
 
     def _register(
-        self, scan: ScanPoints, guess: FloatArray, prediction: FloatArray, covariance: FloatArray
+        self, scan: ScanPoints, guess: FloatArray, prediction: FloatArray, information: FloatArray
     ) -> Registration:
         return register(
-            scan, guess, self._known(), self.sigma, self._gates,
-            prediction, np.asarray(np.linalg.inv(covariance), np.float64),
-        )  # fmt: skip
+            scan, guess, self._known(), self.sigma, self._gates, prediction, information
+        )
 
     def _correlate(self, scan: ScanPoints, prediction: FloatArray, motion: Motion) -> FloatArray:
         """The basin: (3,), wTb to a cell."""

@@ -207,7 +207,8 @@ class Mapper:
         self, scan: LaserScan, oTb: FloatArray | None, odometry: Motion, match: LocalMatch
     ) -> None:
         A = adjoint(inverse(odometry.bTc))
-        self._since_keyframe = A @ self._since_keyframe @ A.T + odometry.covariance * match.doubt
+        doubted = odometry.covariance * match.doubt
+        self._since_keyframe = A @ self._since_keyframe @ A.T + doubted
         step = between(self._wTb, match.wTb)
         self._path += math.hypot(*step[:2].tolist())
         if self._last is not None:
@@ -228,8 +229,8 @@ class Mapper:
                 self._track.keyframe[-1],
                 self._track.kTb[-1],
                 self._since_keyframe,
-                match.information / 2.0,  # the keyframe errs as much as the scan
-                odometry.covariance * match.doubt,
+                lambda: match.information / 2.0,  # the keyframe errs as much as the scan
+                doubted,
             )
         )
 
@@ -298,7 +299,7 @@ class Mapper:
         """Once, when the noise is known; all covariances are relative to the first keyframe."""
         if not self._first_edges or not self._local_map.noise_known:
             return
-        self._graph = self._graph.without(first.edge for first in self._first_edges)
+        self._graph.remove(first.edge for first in self._first_edges)
         self._graph.add(first.restated(self._local_map.noise) for first in self._first_edges)
         self._closer.replace_edges(self._graph.edges)
         self._first_edges = None
@@ -346,9 +347,9 @@ class Mapper:
             convex_start: a loop may be far off: it must pull before the robust kernel doubts it.
             underway: the poses need not be better than the next loop makes them.
         """
-        before = self._poses
         tolerance = _UNDERWAY_TOLERANCE if underway else 1e-5
         iterations = _UNDERWAY_ITERATIONS if underway and not convex_start else 30
+        before = self._poses
         self._poses = self._graph.optimise(before, convex_start, tolerance, iterations)
         sigmas = mahalanobis([loop.edge for loop in self._closer.accepted], self._poses)
         limit = self.config.factor_graph.max_loop_sigmas
@@ -357,12 +358,17 @@ class Mapper:
         ]
         if outvoted:
             self._take_back(outvoted, Rejection.OUTVOTED)
-            self._poses = self._graph.optimise(before, convex_start, tolerance, iterations)
+            # The kernel leaves them little weight, so under way the poses are good enough as they
+            # are; what pulled without a kernel may have led astray
+            if convex_start:
+                self._poses = self._graph.optimise(before, convex_start, tolerance, iterations)
+            elif not underway:
+                self._poses = self._graph.optimise(self._poses, False, tolerance, iterations)
         self._wTb = compose(self._poses[-1], self._track.kTb[-1])
         self._unsettled = 0
 
     def _take_back(self, loops: list[LoopCandidate], reason: Rejection) -> None:
-        self._graph = self._graph.without(loop.edge for loop in loops)
+        self._graph.remove(loop.edge for loop in loops)
         self._closer.take_back(loops, reason, self._graph.edges)
 
     def _recheck(self) -> None:

@@ -55,7 +55,10 @@ class WheelNoise:
     def covariance(self, motion: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a corrected motion, in the tangent space at its end."""
         x, y, turn = motion.tolist()
-        along, across, heading = (np.array([math.hypot(x, y), abs(turn)]) @ self.rates).tolist()
+        way, turn = math.hypot(x, y), abs(turn)
+        along, across, heading = (
+            way * metre + turn * radian for metre, radian in zip(*self.rates.tolist(), strict=True)
+        )
         return np.array([[along, 0.0, 0.0], [0.0, across, 0.0], [0.0, 0.0, heading]])
 
     def learn(self, wheels: FloatArray, laser: FloatArray, covariance: FloatArray) -> None:

@@ -27,7 +27,7 @@ def frame_at(stamp: float, record: int = 0) -> FrameObservations:
 
 
 def scan_place(stamp: float, kTb: FloatArray, oTb: FloatArray | None) -> ScanPlace:
-    return ScanPlace(stamp, oTb, 0, kTb, (1.0 + stamp) * STEP, np.zeros((3, 3)), STEP)
+    return ScanPlace(stamp, oTb, 0, kTb, (1.0 + stamp) * STEP, lambda: np.zeros((3, 3)), STEP)
 
 
 def placer(odometry: list[Odometry], scans: list[ScanPlace]) -> FramePlacer:

@@ -30,8 +30,8 @@ class PoseGraph:
             loop_kernel: sigmas at which the influence of a loop starts to fade (Cauchy kernel).
         """
         self.edges: list[PoseEdge] = []
+        self._places: dict[int, int] = {}  # of the factors of an edge, by its identity
         self._solved = (np.empty((0, 3)), gtsam.Values())
-        self._kernel_width = loop_kernel
         self._loop_kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(loop_kernel)
         self._robust, self._convex = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
         gauge = gtsam.noiseModel.Isotropic.Sigma(3, _GAUGE_SIGMA)
@@ -46,15 +46,19 @@ class PoseGraph:
             self._convex.add(gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), iTj, noise))
             if edge.kind is EdgeKind.LOOP:
                 noise = gtsam.noiseModel.Robust.Create(self._loop_kernel, noise)
+            self._places[id(edge)] = self._robust.size()
             self._robust.add(gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), iTj, noise))
             self.edges.append(edge)
 
-    def without(self, edges: Iterable[PoseEdge]) -> PoseGraph:
-        """A new graph that lacks some edges."""
+    def remove(self, edges: Iterable[PoseEdge]) -> None:
+        """Take edges out again."""
         gone = {id(edge) for edge in edges}
-        graph = PoseGraph(self._kernel_width)
-        graph.add(edge for edge in self.edges if id(edge) not in gone)
-        return graph
+        self.edges = [edge for edge in self.edges if id(edge) not in gone]
+        for edge in gone:
+            place = self._places.pop(edge)
+            # GTSAM passes over the empty places
+            self._robust.remove(place)
+            self._convex.remove(place)
 
     def optimise(
         self,
@@ -76,6 +80,8 @@ class PoseGraph:
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setRelativeErrorTol(tolerance)
         parameters.setMaxIterations(iterations)
+        # Pose graphs are all small cliques: cheaper one after the other than as a tree of fronts
+        parameters.setLinearSolverType("SEQUENTIAL_CHOLESKY")
         values = self._values_of(initial)
         if convex_start:
             values = gtsam.LevenbergMarquardtOptimizer(self._convex, values, parameters).optimize()
@@ -90,9 +96,9 @@ class PoseGraph:
         known, values = self._solved
         if not np.array_equal(known, poses[: len(known)]):
             known, values = np.empty((0, 3)), gtsam.Values()
-        values = gtsam.Values(values)
-        for k in range(len(known), len(poses)):
-            values.insert(X(k), gtsam.Pose2(*poses[k].tolist()))
+        for k, pose in enumerate(poses[len(known) :].tolist(), start=len(known)):
+            values.insert(X(k), gtsam.Pose2(*pose))
+        self._solved = (poses.copy(), values)
         return values
 
     def covariances(self, poses: FloatArray) -> FloatArray:

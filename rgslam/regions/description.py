@@ -12,7 +12,7 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+from numba import njit
 
 from rgslam.config import RegionConfig
 from rgslam.geometry import inverse, transform_points
@@ -254,10 +254,25 @@ def describe_region(
     )
 
 
+@njit(cache=True, nogil=True)
 def region_boxes(labels: LabelArray, count: int) -> IntArray:
-    """First row, first column, end row, end column (count, 4) of labels 1..count."""
-    slices = ndimage.find_objects(labels, max_label=count)
-    return np.array([[s[0].start, s[1].start, s[0].stop, s[1].stop] for s in slices]).reshape(-1, 4)
+    """First row, first column, end row, end column (count, 4) of labels 1..count.
+
+    The end of a label that does not occur is 0.
+    """
+    boxes = np.zeros((count, 4), np.int64)
+    for row in range(labels.shape[0]):
+        for col in range(labels.shape[1]):
+            k = labels[row, col] - 1
+            if k < 0 or k >= count:
+                continue
+            box = boxes[k]
+            if box[2] == 0:
+                box[0], box[1] = row, col
+            box[1] = min(box[1], col)
+            box[2] = row + 1
+            box[3] = max(box[3], col + 1)
+    return boxes
 
 
 def inner_clearances(labels: LabelArray, count: int, resolution: float) -> FloatArray:

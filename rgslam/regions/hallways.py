@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -87,14 +88,16 @@ def _divided(partition: Partition, junctions: list[Junction], least_cells: float
 
 def _components(labels: npt.NDArray[np.int32], least_cells: float) -> npt.NDArray[np.int32]:
     """A label of its own for each connected piece of each label, 0 for what the cuts crumbled."""
-    from scipy import ndimage
-
     pieces = np.zeros_like(labels)
     count = 0
-    for i, part in enumerate(ndimage.find_objects(labels)):
-        if part is None:
+    for i, (r0, c0, r1, c1) in enumerate(region_boxes(labels, int(labels.max())).tolist()):
+        if r1 == 0:
             continue
-        own, n = ndimage.label(labels[part] == i + 1)
+        part = slice(r0, r1), slice(c0, c1)
+        ends, own = cv2.connectedComponents(
+            (labels[part] == i + 1).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
+        )
+        n = ends - 1
         large = np.bincount(own.ravel(), minlength=n + 1) >= least_cells
         # A region that was as small before the cuts stays
         large |= n == 1
