@@ -52,6 +52,9 @@ _PRIOR_SIGMAS = 5.0
 _PLAUSIBLE_SIGMAS = 3.0
 
 
+#: Share of the first gate by which half of the points may have moved: what is 1.4 times as far away
+#: was then inside it, too.
+_WELL_WITHIN = 0.7
 #: Share of points by which another place must fit better before the wheels are not believed.
 _CLEARLY_BETTER = 0.1
 
@@ -226,9 +229,9 @@ class LocalMap:
         return self._register(scan, coarse, prediction, motion.information / doubt)
 
     def _within_reach(self, moved: FloatArray) -> bool:
-        """Whether a correction moves most of what is seen by less than half the gate."""
+        """Whether a correction moves most of what is seen by clearly less than the gate."""
         x, y, turn = moved.tolist()
-        return math.hypot(x, y) + self._lever * abs(turn) < 0.5 * self._reach
+        return math.hypot(x, y) + self._lever * abs(turn) < _WELL_WITHIN * self._reach
 
     def _register(
         self, scan: ScanPoints, guess: FloatArray, prediction: FloatArray, information: FloatArray

@@ -23,6 +23,9 @@ from rgslam.types import FloatArray
 BLOCKS = (16, 4, 1)
 #: Cells around a surfel that know it as their nearest: the farthest a first guess may be off.
 _REACH = 5
+#: Cells around a surfel beyond which its likelihood, of one cell's standard deviation, is below
+#: 1/255: four cells off, a place is at least 3.5 from it.
+_FADED = 3
 #: Cosine between normals of one wall: they are known to some degrees.
 _SAME_WALL = 0.95
 
@@ -67,7 +70,7 @@ class SurfelMap:
     def _is_sparse(self, block: int) -> bool:
         """Whether the surfels reach fewer cells than there are: halls, or stray returns far off."""
         surfels = self.surfels
-        return surfels.nearest.size > len(surfels.points) * (2 * _REACH + block) ** 2
+        return surfels.nearest.size > len(surfels.points) * (2 * _FADED + block) ** 2
 
     def _stamped(self, block: int) -> npt.NDArray[np.uint8]:
         """(H, W), the most that any of block x block cells has, made surfel by surfel."""
@@ -256,7 +259,7 @@ def _stamp(
 
 
 #: Likelihood 0..255 by the squared distance in 1/64 cells.
-_FADING = (255.0 * np.exp(-np.arange(64 * 2 * (_REACH + 1) ** 2) / 128.0)).astype(np.uint8)
+_FADING = (255.0 * np.exp(-np.arange(64 * 2 * (_FADED + 1) ** 2) / 128.0)).astype(np.uint8)
 
 
 @njit(cache=True, nogil=True)
@@ -265,17 +268,17 @@ def _stamp_likelihood(
 ) -> None:
     """Write the likelihood of the best of block x block cells from each on (H, W), all 0 before."""
     rows, cols = level.shape
-    across = np.empty(2 * _REACH + block)  # squared distance of the nearest column, cells
+    across = np.empty(2 * _FADED + block)  # squared distance of the nearest column, cells
     for k in range(len(surfels.points)):
         x = (surfels.points[k, 0] - surfels.origin[0]) / surfels.resolution - 0.5
         y = (surfels.points[k, 1] - surfels.origin[1]) / surfels.resolution - 0.5
         row, col = int(y + 0.5), int(x + 0.5)
-        first = col - _REACH - block + 1
+        first = col - _FADED - block + 1
         for c in range(len(across)):
             across[c] = _nearest_square(x, col, first + c, block)
-        for r in range(max(row - _REACH - block + 1, 0), min(row + _REACH + 1, rows)):
+        for r in range(max(row - _FADED - block + 1, 0), min(row + _FADED + 1, rows)):
             down = _nearest_square(y, row, r, block)
-            for c in range(max(first, 0), min(col + _REACH + 1, cols)):
+            for c in range(max(first, 0), min(col + _FADED + 1, cols)):
                 value = fading[int(64.0 * (across[c - first] + down))]
                 level[r, c] = max(level[r, c], value)
 
@@ -290,7 +293,7 @@ def _nearest_square(x: float, own: int, first: int, block: int) -> float:
         first: first cell of the block.
         block: number of cells.
     """
-    lowest, highest = max(first, own - _REACH), min(first + block - 1, own + _REACH)
+    lowest, highest = max(first, own - _FADED), min(first + block - 1, own + _FADED)
     return float((x - min(max(own, lowest), highest)) ** 2)
 
 
