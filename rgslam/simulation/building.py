@@ -179,7 +179,8 @@ def _walls(world: World) -> list[Solid]:
         if bottom > 0.0:
             pieces.append(Solid(f"below {kind} {opening.name}", line, 0.0, bottom))
         if top < height:
-            pieces.append(Solid(f"above {kind} {opening.name}", line, top, height))
+            flush = _opening_in_wall(opening, world, posts=posts_in_wall(opening, world))
+            pieces.append(Solid(f"above {kind} {opening.name}", flush, top, height))
     return pieces
 
 
@@ -233,12 +234,27 @@ def wall_of(world: World, opening: Door | Window) -> Wall:
     )
 
 
-def _opening_in_wall(opening: Door | Window, world: World, margin: float = 0.0) -> Polygon:
-    """The part of the plan between two posts, as deep as the wall."""
+def _opening_in_wall(
+    opening: Door | Window, world: World, margin: float = 0.0, posts: FloatArray | None = None
+) -> Polygon:
+    """The part of the plan between two posts (2, 2), as deep as the wall."""
     from shapely.geometry import LineString
 
     depth = wall_of(world, opening).thickness / 2.0 + margin
-    return LineString(opening.posts).buffer(depth, cap_style="flat")
+    return LineString(opening.posts if posts is None else posts).buffer(depth, cap_style="flat")
+
+
+def posts_in_wall(opening: Door | Window, world: World) -> FloatArray:
+    """The posts (2, 2) on the centre line of their wall: a world file gives them to a centimetre.
+
+    What is flush with the wall would otherwise stand out of it, or end inside, by that much.
+    """
+    from shapely.geometry import LineString, Point
+
+    wall = wall_of(world, opening)
+    line = LineString([*wall.points, wall.points[0]] if wall.closed else wall.points)
+    posts = [line.interpolate(line.project(Point(post))) for post in opening.posts]
+    return np.array([[post.x, post.y] for post in posts])
 
 
 def _hole(world: World, opening: Door | Window) -> Polygon:
@@ -293,7 +309,7 @@ def face_of_opening(
     Returns:
         Foot (3,) of the left and of the right post as seen from that side, and the face's normal.
     """
-    posts = np.asarray(opening.posts, float)
+    posts = posts_in_wall(opening, world)
     normal = side * _left_normal(posts)
     on_face = posts + wall_of(world, opening).thickness / 2.0 * normal
     left, right = on_face if side < 0.0 else on_face[::-1]

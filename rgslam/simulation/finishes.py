@@ -87,25 +87,36 @@ def _writing(u: float, v: float, pitch: float, seed: int, grain: float) -> float
 
 @njit(cache=True, nogil=True)
 def _print(u: float, v: float, width: float, height: float, seed: int, grain: float) -> float:
-    """Relative tone of a printed sheet: heading, a vignetted picture, text below."""
-    margin = 0.09 * width
+    """Relative tone of a printed sheet: two lines of heading, a photograph, two columns of text."""
+    margin = 0.08 * width
     if u < margin or u > width - margin or v < 0.06 * height or v > 0.95 * height:
         return 1.0
-    if v > 0.84 * height:
-        return 1.0 - 0.85 * _writing(u, v, 0.09 * height, seed, grain)
-    split = (0.35 + 0.2 * hash_unit(1, 2, seed)) * height
+    if v > 0.86 * height:
+        ends = width * (0.55 + 0.35 * hash_unit(int(v / (0.045 * height)), 4, seed))
+        return 1.0 if u > ends else 1.0 - 0.8 * _writing(u, v, 0.045 * height, seed, grain)
+    split = (0.33 + 0.12 * hash_unit(1, 2, seed)) * height
     if v < split:
-        ragged = width * (0.72 + 0.2 * hash_unit(int(v / (0.03 * height)), 5, seed))
-        return 1.0 if u > ragged else 1.0 - 0.75 * _writing(u, v, 0.03 * height, seed + 7, grain)
-    x, y = (
-        (u / width - 0.5) / 0.36,
-        (v - 0.5 * (split + 0.82 * height)) / (0.41 * height - split / 2),
-    )
-    inside = max(0.0, min(1.0, 2.5 * (1.0 - x * x - y * y)))
+        column = 0.42 * width
+        x = u - margin if u < 0.5 * width else width - margin - column - u
+        x = x if u < 0.5 * width else -x
+        pitch = 0.015 * height
+        last = 0.45 if hash_unit(int(v / pitch), 5, seed) > 0.8 else 1.0  # of a paragraph
+        if x < 0.0 or x > column * last:
+            return 1.0
+        return 1.0 - 0.7 * _writing(u, v, pitch, seed + 7, grain)
+    # The photograph, which fades into the paper
+    x = (u / width - 0.5) / 0.44
+    y = (v - 0.5 * (split + 0.85 * height)) / (0.44 * height - split / 2.0)
+    inside = max(0.0, min(1.0, 4.0 * (1.0 - x**6 - y**6)))
     if inside == 0.0:
         return 1.0
-    scene = noise(3.0 * x, 3.0 * y, seed + 3) * 0.6 + noise(9.0 * x, 9.0 * y, seed + 4) * 0.4
-    return 1.0 - inside * (0.9 - 0.8 * scene)
+    horizon = 0.25 * (noise(1.7 * x, 0.5, seed + 3) - 0.5) + 0.06 * noise(9.0 * x, 0.5, seed + 4)
+    if y > horizon:
+        scene = 0.55 + 0.25 * y + 0.25 * (noise(1.5 * x, 3.0 * y, seed + 5) - 0.5)
+    else:
+        scene = 0.34 + 0.5 * (noise(6.0 * x, 7.0 * y, seed + 6) - 0.5)
+        scene += 0.3 * (noise(23.0 * x, 27.0 * y, seed + 7) - 0.5)
+    return 1.0 - inside * (1.0 - max(0.05, min(1.0, scene)))
 
 
 @njit(cache=True, nogil=True)
@@ -186,10 +197,10 @@ def _handle(u: float, v: float, width: float, detail: float) -> float:
 @njit(cache=True, nogil=True)
 def _floor(kind: int, u: float, v: float, seed: int, grain: float) -> float:
     """Relative tone of a floor."""
-    worn = 1.0 + 0.10 * ripple(u, v, 0.6, seed, grain)
+    worn = 1.0 + 0.06 * ripple(u, v, 0.6, seed, grain)
     if kind == _CARPET:
-        pile = 0.3 * ripple(u, v, 210.0, seed, grain) + 0.2 * ripple(u, v, 60.0, seed + 1, grain)
-        return worn + pile + 0.12 * ripple(u, v, 9.0, seed + 2, grain)
+        pile = 0.4 * ripple(u, v, 210.0, seed, grain) + 0.25 * ripple(u, v, 60.0, seed + 1, grain)
+        return worn + pile + 0.04 * ripple(u, v, 14.0, seed + 2, grain)
     if kind == _STONE:
         chips = ripple(u, v, 150.0, seed, grain)
         return worn + 0.3 * chips + 0.15 * ripple(u, v, 55.0, seed + 1, grain)

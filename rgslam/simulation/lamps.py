@@ -9,6 +9,9 @@ import numpy as np
 from rgslam.simulation.world import World
 from rgslam.types import FloatArray
 
+#: From the middle of a wall to the nearest lamp, m.
+_OFF_WALLS = 0.6
+
 
 def lamp_places(world: World) -> list[tuple[FloatArray, FloatArray]]:
     """Middle (2,) and direction (2,) in plan of every lamp, lengthwise along its area."""
@@ -37,8 +40,8 @@ def _in_area(
             along, beside = (i + 0.5) / counts[0], (j + 0.5) / counts[1]
             centre = frame[0] + x * lengths[0] * along + y * lengths[1] * beside
             lamp = affinity.rotate(box(*-half, *half), turn, origin=(0.0, 0.0))
-            # Clear of the walls, whose half thickness is part of the area
-            if area.contains(affinity.translate(lamp, *centre).buffer(0.15)):
+            # Off the walls, which it would dazzle
+            if area.contains(affinity.translate(lamp, *centre).buffer(_OFF_WALLS)):
                 places.append((centre, x))
     if not places:
         middle = area.representative_point()

@@ -14,14 +14,18 @@ from rgslam.simulation.finishes import returned
 from rgslam.simulation.surfaces import Finish
 from rgslam.types import FloatArray, IntArray
 
-_SKY, _LAMP = int(Finish.SKY), int(Finish.LAMP)
+_WALL, _SKY, _LAMP = int(Finish.WALL), int(Finish.SKY), int(Finish.LAMP)
+#: Share of the light that comes back out of a gap.
+_GAP = 0.04
+#: The profile of a frame catches less of the lamps' light below than above.
+_BELOW = 0.8
 
 
 @njit(cache=True, nogil=True)
 def _light_at(
     light: npt.NDArray[np.float32], first: int, rows: int, columns: int, v: float, u: float
 ) -> float:
-    """Light between the cells of a piece at shares (0..1) of its height and width."""
+    """Light between the cells of a sheet at shares (0..1) of its height and width."""
     y = min(max(v * rows - 0.5, 0.0), rows - 1.0)
     x = min(max(u * columns - 0.5, 0.0), columns - 1.0)
     i, j = min(int(y), rows - 2), min(int(x), columns - 2)
@@ -65,6 +69,7 @@ def paint(
     light: npt.NDArray[np.float32],
     first: IntArray,
     shape: IntArray,
+    place: FloatArray,
     glow: FloatArray,
     spread: float,
     exposure: float,
@@ -90,17 +95,26 @@ def paint(
             v += way * frames[piece, 2, axis]
             facing -= rays[k, 3 + axis] * frames[piece, 3, axis]
         width, height = numbers[piece, 0], numbers[piece, 1]
-        border = numbers[piece, 3]
+        border, seam, foot = numbers[piece, 3], numbers[piece, 6], numbers[piece, 7]
+        # Where the point is on the piece's sheet
+        across, up = u + place[piece, 0], v + place[piece, 1]
         falls = _light_at(
-            light, first[piece], shape[piece, 0], shape[piece, 1], v / height, u / width
-        )
+            light, first[piece], shape[piece, 0], shape[piece, 1],
+            up / place[piece, 3], across / place[piece, 2],
+        )  # fmt: skip
         finish = finishes[piece]
-        if border > 0.0 and min(min(u, width - u), min(v, height - v)) < border:
-            seen = falls * numbers[piece, 4]
+        aside = min(u, width - u)
+        if v < foot or min(aside, height - v) < seam:
+            seen = falls * _GAP
+        elif border > 0.0 and min(aside, min(v, height - v)) < border:
+            seen = falls * numbers[piece, 4] * (_BELOW if v < min(aside, height - v) else 1.0)
         else:
             grain = d * spread / max(abs(facing), 0.1)
+            seed = piece
+            if finish == _WALL:  # paint goes on where a wall is of several pieces
+                u, v, seed = across, up, first[piece]
             share = returned(
-                finish, u, v, width, height, numbers[piece, 2], numbers[piece, 5], piece, grain
+                finish, u, v, width, height, numbers[piece, 2], numbers[piece, 5], seed, grain
             )
             if finish == _SKY:
                 seen = share * glow[0]

@@ -43,7 +43,7 @@ class Paint:
     """Pieces as arrays, for the painting kernel."""
 
     frames: FloatArray  # (m, 4, 3): corner, across, up, normal
-    numbers: FloatArray  # (m, 6): width, height, tone, border, border_tone, detail
+    numbers: FloatArray  # (m, 8): width, height, tone, border, border_tone, detail, seam, foot
     finishes: IntArray  # (m,)
     light: LightMap
     glow: FloatArray  # (2,), light given by windows and by lamps
@@ -117,7 +117,7 @@ class Renderer:
             p = self._paint
             paint(
                 rays, distance, triangle, p.frames, p.numbers, p.finishes,
-                p.light.light, p.light.first, p.light.shape, p.glow,
+                p.light.light, p.light.first, p.light.shape, p.light.place, p.glow,
                 spread, exposure, 1.0 / _GAMMA, levels[start : start + step],
             )  # fmt: skip
         return levels, pieces
@@ -160,7 +160,8 @@ def _as_paint(pieces: list[Piece], scene: RayScene, world: World) -> Paint:
     return Paint(
         frames=np.array([[p.corner, p.across, p.up, np.cross(p.across, p.up)] for p in pieces]),
         numbers=np.array(
-            [[*p.size, p.tone, p.border, p.border_tone, p.detail] for p in pieces], float
+            [[*p.size, p.tone, p.border, p.border_tone, p.detail, p.seam, p.foot] for p in pieces],
+            float,
         ),
         finishes=np.array([int(p.finish) for p in pieces]),
         light=light_up(pieces, scene, world.lighting),

@@ -3,8 +3,8 @@
 """What a camera sees of a building: flat rectangular pieces of surface, each with a finish.
 
 A piece is seen from the side of its normal, `across x up`; its frame is that of a rectangle of the
-truth. The laser's solids are all there; added are floor, ceiling, lamps, door frames and what hangs
-on the walls.
+truth. The laser's solids are all there; added are floor, ceiling, lamps, casings of doors, stands
+of monitors and what hangs on the walls.
 """
 
 from __future__ import annotations
@@ -17,18 +17,24 @@ from enum import IntEnum
 import numpy as np
 
 from rgslam.errors import WorldError
-from rgslam.simulation.building import Solid, face_of_opening, footprint, wall_of
+from rgslam.simulation.building import Solid, face_of_opening, footprint
 from rgslam.simulation.lamps import lamp_places
-from rgslam.simulation.world import Box, Door, Mount, Rectangle, Surface, Window, World
+from rgslam.simulation.world import Box, Door, DoorState, Mount, Rectangle, Surface, Window, World
 from rgslam.truth import WALL, TruthCuboid, TruthRectangle
 from rgslam.types import FloatArray
 
 #: Paint on a wall lies this far before it, m: the ray caster tells a hundredth of that apart.
 _PROUD = 2e-4
-#: Width of the frame around a door, m, and its tone relative to its wall's.
-_FRAME, _FRAME_TONE = 0.06, 0.92
+#: Width of the casing around a door, m, and its tone: grey enamel.
+_CASING, _CASING_TONE = 0.07, 0.5
+#: Width of the frame of a window, m, and its tone: aluminium.
+_WINDOW_FRAME, _WINDOW_TONE = 0.03, 0.4
+#: What is dark around a closed leaf, and what is dark where a leaf or a box stands, m.
+_SEAM, _FOOT = 0.003, 0.006
 #: Height of a skirting board, m, and its tone.
 _SKIRTING, _SKIRTING_TONE = 0.08, 0.28
+#: Half the width of the neck of a stand, m.
+_NECK = 0.03
 #: Farther than this from a wall nothing hangs on it, m.
 _REACH = 0.5
 
@@ -76,6 +82,8 @@ class Piece:
     tone: float
     border: float = 0.0  # m
     border_tone: float = 0.0
+    seam: float = 0.0  # m, dark, along both sides and the top
+    foot: float = 0.0  # m, dark, along the bottom
     detail: float = 0.0  # LEAF: +1 = the handle is at the right, -1 = at the left
     name: str = ""  # of the rectangle of the truth; "" = none
     label: str = ""
@@ -206,6 +214,8 @@ def _leaf_pieces(solid: Solid, door: Door) -> Iterator[Piece]:
             side,
             finish=finish,
             detail=1.0 if at_right else -1.0,
+            seam=_SEAM if door.state is DoorState.CLOSED else 0.0,
+            foot=_FOOT,
             name=f"door {door.name} {'front' if faces == 0 else 'back'}",
             label="door",
         )
@@ -218,6 +228,8 @@ def _pane_pieces(solid: Solid, window: Window) -> Iterator[Piece]:
     for side, face in zip(sides[:2], ("front", "back"), strict=True):
         yield replace(
             side,
+            border=_WINDOW_FRAME,
+            border_tone=_WINDOW_TONE,
             name=f"window {window.name} {face}",
             label="window",
         )
@@ -237,6 +249,7 @@ def _box_pieces(solid: Solid, box: Box) -> Iterator[Piece]:
         yield replace(
             piece,
             finish=_finish(box.surface) if dressed else _PLAINER[box.surface],
+            foot=_FOOT if face.startswith("side") and solid.bottom == 0.0 else 0.0,
             name=f"{box.name} {face}",
             label=box.label,
             cuboid=box.name,
@@ -252,26 +265,25 @@ def _finish(surface: Surface) -> Finish:
 
 def _door_frame(door: Door, world: World) -> Iterator[Piece]:
     """Strips on both faces of the wall around an opening; they leave it clear."""
-    tone = wall_of(world, door).tone
     for face in (1.0, -1.0):
         left, right, normal = face_of_opening(door, world, face)
         width = float(np.linalg.norm(right - left))
         across, up = (right - left) / width, np.array([0.0, 0.0, 1.0])
         before = normal * _PROUD
         strip = Piece(
-            corner=left - across * _FRAME + before,
+            corner=left - across * _CASING + before,
             across=across,
             up=up,
-            size=np.array([_FRAME, door.height + _FRAME]),
+            size=np.array([_CASING, door.height + _CASING]),
             finish=Finish.PLAIN,
-            tone=tone * _FRAME_TONE,
+            tone=_CASING_TONE,
         )
         yield strip
         yield replace(strip, corner=right + before)
         yield replace(
             strip,
             corner=left + up * door.height + before,
-            size=np.array([width, _FRAME]),
+            size=np.array([width, _CASING]),
         )
 
 
@@ -298,6 +310,8 @@ def _of_rectangle(rectangle: Rectangle, solids: list[Solid], world: World) -> It
     )
     yield front
     yield from _edges_and_back(front, rectangle)
+    if rectangle.mount is Mount.FREE:
+        yield from _stand(front, solids)
 
 
 def _edges_and_back(front: Piece, rectangle: Rectangle) -> Iterator[Piece]:
@@ -330,6 +344,27 @@ def _edges_and_back(front: Piece, rectangle: Rectangle) -> Iterator[Piece]:
             name=f"{rectangle.name} back",
             label=rectangle.label,
         )
+
+
+def _stand(front: Piece, solids: list[Solid]) -> Iterator[Piece]:
+    """The foot below something that stands freely, down to what is under it."""
+    from shapely.geometry import Point
+
+    normal = np.cross(front.across, front.up)
+    middle = front.corner + front.across * front.size[0] / 2.0 - normal * _NECK
+    under = [s.top for s in solids if s.top < middle[2] and s.polygon.contains(Point(*middle[:2]))]
+    corner = middle - front.across * _NECK
+    corner[2] = max(under, default=0.0)
+    neck = Piece(
+        corner=corner,
+        across=front.across,
+        up=np.array([0.0, 0.0, 1.0]),
+        size=np.array([2.0 * _NECK, middle[2] - corner[2]]),
+        finish=Finish.PLAIN,
+        tone=0.15,
+    )
+    yield neck
+    yield replace(neck, corner=corner + 2.0 * _NECK * front.across, across=-front.across)
 
 
 def _against_wall(
