@@ -49,6 +49,7 @@ class Track:
     kTb: list[FloatArray] = field(default_factory=list)
     predicted_only: int = 0  # scans that fit nowhere
     odd_geometry: list[int] = field(default_factory=list)  # records
+    odometry_jumps: list[int] = field(default_factory=list)  # records
 
     def trajectory(self, poses: FloatArray) -> Trajectory:
         """Poses of all scans, in the order in which they came, by those of the keyframes (K, 3)."""

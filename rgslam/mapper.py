@@ -170,7 +170,12 @@ class Mapper:
         last_oTb = self._last[1]
         if oTb is None or last_oTb is None:
             return self._habit(scan)
-        motion = self._wheels.corrected(between(last_oTb, oTb))
+        reported = between(last_oTb, oTb)
+        if math.hypot(*reported[:2].tolist()) > _sight(self._last[0]):
+            self._track.odometry_jumps.append(scan.record)
+            self._keyframe_oTb = None
+            return self._habit(scan)
+        motion = self._wheels.corrected(reported)
         return Motion(motion, self._wheels.covariance(motion) + _STANDING)
 
     def _habit(self, scan: LaserScan) -> Motion:
@@ -513,6 +518,11 @@ class Mapper:
                 f"{len(self._frames.left_out)} stereo pairs are more than {HORIZON:g} s from every "
                 f"scan, or come later, and are left out (first: record {self._frames.left_out[0]})"
             )
+        if track.odometry_jumps:
+            lines.append(
+                f"odometry jumps {len(track.odometry_jumps)} time(s) by more than the laser "
+                f"sees and is not believed there (first: record {track.odometry_jumps[0]})"
+            )
         if self._odometry.ignored and self._odometry.waited:
             lines.append(
                 f"{self._odometry.ignored} odometry messages whose stamp goes back are left out"
@@ -531,3 +541,9 @@ class Mapper:
             }
             for loop in sorted(loops, key=lambda loop: (loop.edge.j, loop.edge.i))
         ]
+
+
+def _sight(scan: LaserScan) -> float:
+    """How far it sees, m: nothing of it would be seen again after a longer step."""
+    seen = scan.ranges[np.isfinite(scan.ranges)]
+    return float(seen.max()) if seen.size else scan.max_range

@@ -88,6 +88,21 @@ def test_wheels_that_slip() -> None:
     assert errors(wTb, scans_of(wTb, odometry)).max() < CELL / 2
 
 
+def test_odometry_that_is_set_anew_is_not_believed() -> None:
+    """A step longer than the laser sees, as after a restart of the base."""
+    wTb = drive()
+    odometry = wTb.copy()
+    odometry[25:] = compose(np.array([1e6, -300.0, 2.0]), wTb[25:])
+    scans = [replace(s, record=k + 100) for k, s in enumerate(scans_of(wTb, odometry))]
+    mapper = Mapper(NO_LOOPS)
+    for scan in scans:
+        mapper.add(scan)
+    off = between(between(wTb[0], wTb), mapper.trajectory().wTb)
+    assert np.hypot(off[:, 0], off[:, 1]).max() < CELL / 2
+    warnings = mapper.map().run.warnings
+    assert any("odometry jumps 1 time(s)" in w and "record 125" in w for w in warnings)
+
+
 def test_no_wheels_at_all() -> None:
     wTb = drive()
     assert errors(wTb, scans_of(wTb, None)).max() < CELL
