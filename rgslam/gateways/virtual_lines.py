@@ -35,6 +35,11 @@ class VirtualLines:
     lengths: FloatArray  # (n,), cells
     extends: FloatArray  # (n, 2), cosine between the line and the wall it continues at either end
 
+    def without(self, dropped: BoolArray) -> VirtualLines:
+        """The lines but those that are dropped (n,)."""
+        kept = ~dropped
+        return VirtualLines(self.ends[kept], self.lengths[kept], self.extends[kept])
+
 
 @nb.njit(cache=True)
 def ray_length(free: BoolArray, x: float, y: float, dx: float, dy: float, limit: float) -> float:

@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from rgslam.config import Config, RegionConfig
 from rgslam.gateways.passages import Passages, clearance_of, draw_wall, select_passages
+from rgslam.gateways.past_furniture import made_by_furniture, thicker_than_walls
 from rgslam.gateways.posts import refine_posts
 from rgslam.gateways.virtual_lines import find_virtual_lines
-from rgslam.outlines import trace_outlines
+from rgslam.outlines import Outlines, trace_outlines
 from rgslam.regions.free_space import drop_slits, fill_islands, islands_in_regions, open_screens
 from rgslam.types import FloatArray, GatewayClass, IntArray
 
@@ -25,6 +26,8 @@ LabelArray = npt.NDArray[np.int32]
 
 # Noise of walls in a good grid: laser noise and pose error, 2 sigma, m.
 _WALL_NOISE = 0.06
+# Shallowest furniture that stands free, m: a table. Shelves stand against walls.
+_TABLE = 0.6
 # Crevices this deep belong to the region they open to, m: a cupboard's gap; deeper is a leak.
 _CREVICE = 0.5
 
@@ -200,14 +203,18 @@ def partition_free_space(
         visited: (n, 2), column and row of cells where the robot was; None: nobody knows.
     """
     gateways = config.gateways
-    filled = fill_islands(free, resolution, config.regions, gateways.thickest_wall)
-    space = drop_slits(filled, config.regions.narrowest / resolution)
-    outlines = trace_outlines(space, max(1.0, _WALL_NOISE / resolution))
+    filled, space, outlines = _without_islands(free, resolution, config, gateways.thickest_wall)
+    thick = thicker_than_walls(space, outlines, resolution, gateways.thickest_wall)
+    tables = max(thick * resolution, _TABLE) - 1.5 * resolution  # between the cells' centres
+    if tables < gateways.thickest_wall:
+        filled, space, outlines = _without_islands(filled, resolution, config, tables)
     wall_near = near_wall(is_wall, resolution)
     lines = find_virtual_lines(
         space, outlines, gateways.longest / resolution, gateways.slide / resolution,
         np.radians(gateways.post_turn_deg), wall_near,
     )  # fmt: skip
+    made = made_by_furniture(space, lines, thick, resolution, gateways, config.regions)
+    lines = lines.without(made)
     passages = select_passages(space, lines, resolution, gateways)
     screens, past_screen = open_screens(space, passages, resolution, gateways)
     passages = passages.without(past_screen)
@@ -240,6 +247,18 @@ def partition_free_space(
         labels, count, posts[real], scatter[real], passages.is_neck[real], renamed[sides[real]],
         (None,) * int(real.sum()),
     )  # fmt: skip
+
+
+def _without_islands(
+    free: BoolArray, resolution: float, config: Config, thickest: float
+) -> tuple[BoolArray, BoolArray, Outlines]:
+    """Free cells with their islands filled, those that are wide enough to be a way, and outlines.
+
+    `thickest` wall in m.
+    """
+    filled = fill_islands(free, resolution, config.regions, thickest)
+    space = drop_slits(filled, config.regions.narrowest / resolution)
+    return filled, space, trace_outlines(space, max(1.0, _WALL_NOISE / resolution))
 
 
 def _deepest_jambs(passages: Passages, resolution: float, config: Config) -> FloatArray:
