@@ -4,15 +4,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import gtsam
 import numpy as np
 import pytest
 from door_runs import BTC, CAMERA, SIDE, upright
+from scipy.stats import chi2
 
 from rgslam.data_association import FramePose, RectangleState, Sight, Track, project_points
 from rgslam.factor_graph import StereoCorners
 from rgslam.fusion.shared_borders import unaveraged
 
 SIGMA, WIDE = 0.3, 3.0  # px
+DOUBT = WIDE * np.sqrt(2.0)  # px, of either image: both err alike, and their mean row says less
 BOARD = upright((4.0, 0.0, 1.1), np.pi, (1.2, 0.9))
 TRUE = RectangleState(BOARD.wTr, BOARD.size, np.zeros((8, 8)))
 
@@ -55,20 +60,25 @@ def fitted(track: Track) -> tuple[RectangleState, np.ndarray]:
     return state, state.corner_slopes @ np.linalg.inv(information) @ state.corner_slopes.T
 
 
+def difference_of(found: RectangleState) -> np.ndarray:
+    return gtsam.Pose3.Logmap(gtsam.Pose3(found.wTr).between(gtsam.Pose3(TRUE.wTr)))
+
+
 def test_sights_without_doubt_share_nothing() -> None:
     track = sights(10, 0.0, np.random.default_rng(1))
     state, alone = fitted(track)
-    assert np.trace(unaveraged(state, track, poses(10))) < 0.3 * np.trace(alone)
+    assert np.trace(unaveraged(state, track, poses(10), 0.0)) < 0.3 * np.trace(alone)
 
 
 @pytest.mark.parametrize("count", [6, 24])
 def test_doubt_about_one_side_stays_however_often_it_is_seen(count: int) -> None:
     track = sights(count, WIDE, np.random.default_rng(2))
-    extra = unaveraged(TRUE, track, poses(count)).reshape(4, 3, 4, 3)
+    extra = unaveraged(TRUE, track, poses(count), 0.0).reshape(4, 3, 4, 3)
     height = np.array([np.sqrt(extra[i, 2, i, 2]) for i in range(4)])
     distance = 4.0 - 0.1 - 0.5
-    # `WIDE` of the mean row of both images, as half the sights say of both ends of the side
-    expected = WIDE / np.sqrt(2.0) * distance / CAMERA.fy
+    # `WIDE` of the mean row of both images, which is 1.4 times as much in either, as every second
+    # sight says
+    expected = DOUBT * distance / CAMERA.fy
     np.testing.assert_allclose(height[2:], expected, rtol=0.15)
     np.testing.assert_allclose(height[:2], 0.0, atol=0.1 * expected)
     assert extra[2, 2, 3, 2] == pytest.approx(extra[2, 2, 2, 2], rel=1e-3), (
@@ -80,10 +90,10 @@ def test_the_height_of_a_board_with_a_casing_is_as_sure_as_it_says() -> None:
     rng, errors = np.random.default_rng(3), []
     for _ in range(60):
         # Where the edge really is: drawn from what the sights say of it
-        top = rng.normal(0.0, WIDE / np.sqrt(2.0) * 3.4 / CAMERA.fy)
+        top = rng.normal(0.0, DOUBT * 3.4 / CAMERA.fy)
         track = sights(12, WIDE, rng, top)
         state, alone = fitted(track)
-        spread = alone + unaveraged(state, track, poses(12))
+        spread = alone + unaveraged(state, track, poses(12), 0.0)
         size = RectangleState.of_corners(state.corners, spread)
         error = size.size[1] - TRUE.size[1]
         errors.append([error / np.sqrt(size.covariance[7, 7]), error])
@@ -99,5 +109,36 @@ def test_sights_that_contradict_each_other_are_believed_less() -> None:
     state, alone = fitted(mixed)
     agreed, _ = fitted(track)
     at = poses(12)
-    assert np.trace(unaveraged(state, mixed, at)) > 3.0 * np.trace(alone)
-    assert np.trace(unaveraged(agreed, track, at)) < 0.5 * np.trace(alone)
+    assert np.trace(unaveraged(state, mixed, at, 0.0)) > 3.0 * np.trace(alone)
+    assert np.trace(unaveraged(agreed, track, at, 0.0)) < 0.5 * np.trace(alone)
+
+
+def test_an_edge_that_one_sight_alone_noticed_is_shared_by_its_share() -> None:
+    rng = np.random.default_rng(5)
+    once, twice = sights(12, WIDE, rng, every=12), sights(12, WIDE, rng, every=6)
+    one, two = (np.sqrt(unaveraged(TRUE, track, poses(12), 0.0)[8, 8]) for track in (once, twice))
+    assert one == pytest.approx(two / np.sqrt(12.0), rel=0.2)
+
+
+def test_what_draws_borders_aside_stays_however_often_they_are_seen() -> None:
+    rng, drawn = np.random.default_rng(6), 0.2
+    errors, spreads = [], []
+    for _ in range(100):
+        track = sights(12, 0.0, rng)
+        aside = rng.normal(0.0, drawn, (4, 2))[:, [0, 0, 1]]  # both images alike
+        track.sights = [
+            replace(s, corners=StereoCorners(s.corners.measured + aside, s.corners.covariances))
+            for s in track.sights
+        ]
+        state, alone = fitted(track)
+        spread = alone + unaveraged(state, track, poses(12), drawn)
+        found = RectangleState.of_corners(state.corners, spread)
+        off = np.array([*difference_of(found), *(TRUE.size - found.size)])
+        errors.append(off @ np.linalg.solve(found.covariance, off))
+        spreads.append(
+            found.covariance[6, 6]
+            / RectangleState.of_corners(state.corners, alone).covariance[6, 6]
+        )
+    low, high = chi2.ppf([0.0005, 0.9995], 8 * 100) / 100
+    assert low < np.mean(errors) < high
+    assert np.mean(spreads) > 1.5

@@ -121,6 +121,8 @@ def run_fusion(
             (`rgslam.simulation.measured_corners`), which tests what comes after detection.
     """
     config = Config() if config is None else config
+    if not images:
+        config = _without_borders(config)
     runs = []
     for name in worlds:
         world = World.from_yaml(name) if Path(name).suffix else World.built_in(name)
@@ -128,6 +130,12 @@ def run_fusion(
             recording = simulate(world, seed, duration, progress, stereo_rate=stereo_rate)
             runs.append(_score(recording, config, progress, images))
     return FusionResult((*(_row([run]) for run in runs), _row(runs)))
+
+
+def _without_borders(config: Config) -> Config:
+    """For corners that nothing but noise draws aside."""
+    section = config.factor_graph.model_copy(update={"border_sigma_px": 0.0})
+    return config.model_copy(update={"factor_graph": section})
 
 
 def _score(

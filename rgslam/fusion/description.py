@@ -63,7 +63,7 @@ def describe(solution: Solution) -> Fusion:
     states = solution.states()
     by_number = dict(enumerate(poses))
     shared = [
-        unaveraged(state, track, by_number)
+        unaveraged(state, track, by_number, solution.graph.config.border_sigma_px)
         for state, track in zip(states, solution.tracks, strict=True)
     ]
     landmarks = tuple(

@@ -203,7 +203,9 @@ class OnlineFusion:
         found = RectangleState.of_corners(self._corners(number))
         track = self._association.tracks[self._indices[number]]
         poses = {sight.frame: self._frame_pose(sight.frame) for sight in track.sights}
-        return RectangleState.of_corners(found.corners, spread + unaveraged(found, track, poses))
+        border = self.config.factor_graph.border_sigma_px
+        spread = spread + unaveraged(found, track, poses, border)
+        return RectangleState.of_corners(found.corners, spread)
 
     def _frame_pose(self, number: int) -> FramePose:
         frame = self._frames[number]
