@@ -87,7 +87,10 @@ class DataAssociationConfig(StageConfig):
     gate_probability: float = Field(0.999, gt=0.0, lt=1.0)  # share of right pairs that pass
     # By so much another pair must fit worse (chi-square, 1 in 100 by chance) to be ruled out.
     ambiguity_margin: float = Field(9.2, ge=0.0)
-    min_sights: int = Field(3, ge=1)  # frames that must have seen a landmark
+    # Frames that must have seen a landmark; fewer suffice where its sights together make it more
+    # likely a thing than not.
+    min_sights: int = Field(3, ge=1)
+    min_sure_sights: int = Field(2, ge=1)
     max_overlap: float = Field(0.5, gt=0.0, le=1.0)  # of two landmarks, intersection over union
 
 

@@ -195,7 +195,7 @@ class DataAssociation:
         """The best of the four orders of corners, or None outside the gate."""
         track = self.tracks[number].state
         predicted, by_point, by_pose = project_points(track.corners, pose)
-        if not np.isfinite(predicted).all():
+        if not _about_in_view(predicted, pose.camera):
             return None
         slopes = (by_point @ track.corner_slopes.reshape(4, 3, 8)).reshape(_MEASURED, 8)
         by_mount = mount_slopes(track.corners, by_point, pose).reshape(_MEASURED, 6)
@@ -370,6 +370,15 @@ def mount_slopes(w_points: FloatArray, by_point: FloatArray, pose: FramePose) ->
 def _unknown_mount(pose: FramePose) -> FloatArray:
     """Covariance (6, 6) of what the mount adds between a track and a sight: it erred in both."""
     return np.zeros((6, 6)) if pose.mount_covariance is None else 2.0 * pose.mount_covariance
+
+
+def _about_in_view(pixels: FloatArray, camera: StereoCamera) -> bool:
+    """Whether corners (4, 3) may be seen: none is farther from the images than they are large.
+
+    Near the plane of the camera's centre, small errors of a corner are any number of pixels.
+    """
+    size = np.array([camera.width, camera.width, camera.height])
+    return bool(((pixels > -size) & (pixels < 2 * size)).all())
 
 
 def overlap(one: RectangleState, other: RectangleState) -> float:

@@ -93,6 +93,8 @@ def classify(state: RectangleState, config: LandmarkConfig) -> tuple[str, float]
     measured = np.array([*state.size, float(state.corners[:, 2].mean())])
     variances = np.diagonal(state.covariance)
     variance = np.append(variances[6:], max(float(variances[4]), 0.0))
+    if (state.size > config.largest[:2]).any():
+        return WALL, 1.0  # or a stretch of ceiling: no thing is that large
     densities = [_density(measured, variance, one) for one in config.classes]
     # Anything: evenly from nothing to the largest wall
     nowhere = 1.0 / float(np.prod(config.largest))

@@ -6,14 +6,20 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from door_runs import DoorRun, door_run
+from door_runs import BTC, CAMERA, DoorRun, door_run, see, upright
 from scipy.stats import chi2
 
+from rgslam.config import DataAssociationConfig
+from rgslam.data_association import DataAssociation, FramePose, RectangleState, Track
 from rgslam.fusion import Fusion, Landmark, fuse_landmarks, joint_probability
+from rgslam.fusion.consistency import promoted
+from rgslam.fusion.sights import sights_of
 from rgslam.geometry import between
+from rgslam.observations import FrameObservations, PlacedFrame
 from rgslam.rectangles.ambiguity import difference
 
 SEEDS = range(5)
@@ -115,6 +121,35 @@ def test_the_same_input_gives_the_same_numbers() -> None:
     np.testing.assert_array_equal(one.keyframes, other.keyframes)
     for a, b in zip(one.landmarks, other.landmarks, strict=True):
         np.testing.assert_array_equal(a.state.covariance, b.state.covariance)
+
+
+def test_what_ends_beside_the_camera_is_not_taken_for_what_is_seen() -> None:
+    association = DataAssociation(DataAssociationConfig())
+    pose = FramePose(0, np.zeros(3), 1e-6 * np.eye(3), CAMERA, BTC)
+    # Its near corners lie in the plane of the camera's centre, where pixels know no bounds
+    near = upright((0.1 + 0.3 + 1e-9, 0.0, 1.1), -np.pi / 2, (0.6, 0.4))
+    state = RectangleState(near.wTr, near.size, 0.25 * np.eye(8))
+    door = upright((3.0, 0.1, 1.1), np.pi + 0.2, (0.6, 0.4))
+    rng = np.random.default_rng(0)
+    found = ()
+    while not found:
+        found, _ = see(np.zeros(3), [door], rng, 0.3)
+    frame = PlacedFrame(
+        FrameObservations(0.0, CAMERA, BTC, found, {}), 0, np.zeros(3), 1e-6 * np.eye(3)
+    )
+    seen = sights_of(0, frame, pose)
+    association.tracks.append(Track(state, seen, [0], 0))
+    given = association.add_frame(pose, seen, 1e-4 * np.eye(3)[None])
+    assert given == {0: 1}
+
+
+def test_two_sights_make_a_landmark_of_what_is_likely_a_thing() -> None:
+    config = DataAssociationConfig()
+    likely, doubtful = SimpleNamespace(probability=0.6), SimpleNamespace(probability=0.4)
+    assert promoted([likely] * 2, config)
+    assert not promoted([doubtful] * 2, config)
+    assert promoted([doubtful] * 3, config)
+    assert not promoted([likely], config)
 
 
 def test_probabilities_of_sights_that_err_alike_are_not_multiplied() -> None:

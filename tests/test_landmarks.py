@@ -33,6 +33,7 @@ def upright(width: float, height: float, middle: float, sigma: float = 0.01) -> 
         ((1.0, 1.8), 0.9, "cabinet"),
         ((5.0, 2.55), 1.28, "wall"),
         ((0.7, 2.7), 1.35, "wall"),  # between two doors
+        ((19.5, 1.9), 2.9, "wall"),  # a stretch of ceiling, larger than any thing
         ((1.2, 0.3), 2.5, "unknown"),  # a lamp at the wall
     ],
 )

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 
 from rgslam.config import Config
 from rgslam.fusion.batch import Solution, solve, with_regions
-from rgslam.fusion.description import Fusion, Landmark, describe, joint_probability
+from rgslam.fusion.consistency import joint_probability
+from rgslam.fusion.description import Fusion, Landmark, describe
 from rgslam.fusion.sights import mounted_frames
 from rgslam.observations import PlacedFrame
 from rgslam.types import FloatArray, LaserScan, PoseEdge

@@ -29,7 +29,7 @@ from rgslam.factor_graph.region_factors import (
     post_key,
     post_prior,
 )
-from rgslam.fusion.consistency import consistent_tracks, sight_count
+from rgslam.fusion.consistency import consistent_tracks, promoted, sight_count
 from rgslam.fusion.sights import associate, covisibility_edges, frame_pose, given_mounts
 from rgslam.geometry import compose, transform_points
 from rgslam.observations import PlacedFrame
@@ -90,7 +90,7 @@ def solve(
         shared = [*edges, *covisibility_edges(frames, poses, tracks, start)]
         association = associate(frames, poses, start, shared, config)
         counts = association.counts
-        tracks = [track for track in association.tracks if len(track.sights) >= section.min_sights]
+        tracks = [track for track in association.tracks if promoted(track.sights, section)]
 
         # Solve, take out what does not fit, solve again
         for _ in range(_ROUNDS):

@@ -20,6 +20,26 @@ from rgslam.types import FloatArray
 _MEASURED = 12  # x left, x right, y of four corners
 
 
+def promoted(sights: Sequence[Sight], config: DataAssociationConfig) -> bool:
+    """Whether sights of one thing make it a landmark."""
+    if len(sights) >= config.min_sights:
+        return True
+    if len(sights) < config.min_sure_sights:
+        return False
+    return joint_probability([sight.probability for sight in sights]) > 0.5
+
+
+def joint_probability(probabilities: Sequence[float]) -> float:
+    """Of being a rectangle after sights that each gave a probability.
+
+    The odds of independent evidence multiply. Sights of one thing err alike (a shadow looks like a
+    door from everywhere), so they count as the square root of their number.
+    """
+    p = np.clip(probabilities, 1e-6, 1.0 - 1e-6)
+    log_odds = float(np.sum(np.log(p) - np.log1p(-p))) / np.sqrt(len(p))
+    return float(1.0 / (1.0 + np.exp(-log_odds)))
+
+
 def sight_count(tracks: Sequence[Track]) -> int:
     """Sights of all tracks."""
     return sum(len(track.sights) for track in tracks)
@@ -42,18 +62,13 @@ def consistent_tracks(
             for sight, turns in zip(track.sights, track.turns, strict=True)
         ]
         counts["sights taken out"] += len(fits) - sum(fits)
-        if sum(fits) < config.min_sights:
+        sights = [s for s, good in zip(track.sights, fits, strict=True) if good]
+        if not promoted(sights, config):
             counts["landmarks retired: too few sights"] += 1
             continue
+        turns = [t for t, good in zip(track.turns, fits, strict=True) if good]
         state = replace(RectangleState.of_corners(corners), covariance=track.state.covariance)
-        kept.append(
-            Track(
-                state,
-                [s for s, good in zip(track.sights, fits, strict=True) if good],
-                [t for t, good in zip(track.turns, fits, strict=True) if good],
-                track.keyframe,
-            )
-        )
+        kept.append(Track(state, sights, turns, track.keyframe))
     return _without_twins(kept, config.max_overlap, counts)
 
 

@@ -20,6 +20,7 @@ from rgslam.factor_graph.joint_graph import (
     planar,
 )
 from rgslam.fusion.batch import Solution
+from rgslam.fusion.consistency import joint_probability
 from rgslam.fusion.shared_borders import unaveraged
 from rgslam.geometry import adjoint, between, inverse
 from rgslam.observations import PlacedFrame
@@ -135,17 +136,6 @@ def size_history(
         stamp = frames[sight.frame].observations.stamp
         rows.append([stamp, *size, *np.sqrt(np.diagonal(covariance)[6:])])
     return np.array(rows)
-
-
-def joint_probability(probabilities: Sequence[float]) -> float:
-    """Of being a rectangle after sights that each gave a probability.
-
-    The odds of independent evidence multiply. Sights of one thing err alike (a shadow looks like a
-    door from everywhere), so they count as the square root of their number.
-    """
-    p = np.clip(probabilities, 1e-6, 1.0 - 1e-6)
-    log_odds = float(np.sum(np.log(p) - np.log1p(-p))) / np.sqrt(len(p))
-    return float(1.0 / (1.0 + np.exp(-log_odds)))
 
 
 def _at_estimate(

@@ -27,6 +27,7 @@ from rgslam.factor_graph.joint_graph import (
     planar,
     spatial,
 )
+from rgslam.fusion.consistency import promoted
 from rgslam.fusion.shared_borders import unaveraged
 from rgslam.fusion.sights import frame_pose, given_mounts, seen_from, sights_of
 from rgslam.geometry import compose
@@ -147,7 +148,7 @@ class OnlineFusion:
         graph = JointGraph(self.config.factor_graph, self._cameras)
         for index in sorted(set(given.values())):
             track = self._association.tracks[index]
-            if len(track.sights) < self.config.data_association.min_sights:
+            if not promoted(track.sights, self.config.data_association):
                 continue
             if index not in self._numbers:
                 self._numbers[index] = len(self._numbers)
