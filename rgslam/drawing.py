@@ -170,7 +170,8 @@ def _draw_png(picture: Picture) -> bytes:
     _draw_legend(figure, picture, height)
     stream = io.BytesIO()
     # No date and no version of Matplotlib in the file: the same map gives the same bytes.
-    canvas.print_png(stream, metadata={"Software": None})
+    # Packed three times as fast, for a file that is some percent larger.
+    canvas.print_png(stream, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
     return stream.getvalue()
 
 

@@ -66,13 +66,22 @@ def map_recording(
       rgslam map intel.clf.bz2 --out out/intel
       rgslam map run.mcap --out out/run --topic scan=/front/scan
     """
+    from concurrent.futures import ThreadPoolExecutor
+    from importlib import import_module
+
     from rgslam.config import Config
     from rgslam.loaders import open_recording
+    from rgslam.loaders.byte_stream import compression
 
-    # What is wrong with the input is said before the heavy libraries are loaded.
     settings = Config() if config is None else Config.from_yaml(config)
     settings = settings.calibrating() if calibrate else settings
-    run = open_recording(recording, parse_topics(topic))
+    topics = parse_topics(topic)
+    with ThreadPoolExecutor(1, "loading") as pool:
+        # A packed log is unpacked without Python: meanwhile the heavy libraries are loaded. Else
+        # what is wrong with the input is said before.
+        if recording.is_file() and compression(recording):
+            pool.submit(import_module, "rgslam.pipeline")
+        run = open_recording(recording, topics)
 
     from rgslam.cli_output import StageProgress, print_map_summary
     from rgslam.interrupt import StopOnInterrupt
