@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import numba as nb
 import numpy as np
 
 from rgslam.types import FloatArray, LineSegment
@@ -14,43 +15,81 @@ _AXIS_WIDTH = np.radians(10.0)
 _SECOND_AXIS = 0.25
 
 
-def _line(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Total least squares: centre (2,), unit direction (2,), positions along and across (n,)."""
-    centre = points.mean(axis=0)
-    x, y = (points - centre).T
-    angle = 0.5 * np.arctan2(2.0 * np.dot(x, y), np.dot(x, x) - np.dot(y, y))
-    c, s = np.cos(angle), np.sin(angle)
-    return centre, np.array([c, s]), c * x + s * y, c * y - s * x
+@nb.njit(cache=True)
+def _line(points: FloatArray) -> tuple[float, float, float, float]:
+    """Total least squares: centre x, y and unit direction x, y."""
+    n = len(points)
+    cx = cy = 0.0
+    for i in range(n):
+        cx += points[i, 0]
+        cy += points[i, 1]
+    cx, cy = cx / n, cy / n
+    xx = yy = xy = 0.0
+    for i in range(n):
+        x, y = points[i, 0] - cx, points[i, 1] - cy
+        xx, yy, xy = xx + x * x, yy + y * y, xy + x * y
+    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    return cx, cy, np.cos(angle), np.sin(angle)
 
 
+@nb.njit(cache=True)
 def _fit(points: FloatArray) -> tuple[FloatArray, float]:
     """Endpoints (2, 2) of the line through points, in their order, and the RMS distance to it."""
-    centre, direction, along, across = _line(points)
-    limits = np.array([along.min(), along.max()])
-    if along[-1] < along[0]:
-        limits = limits[::-1]
-    return centre + limits[:, None] * direction, float(np.sqrt(np.mean(across**2)))
+    cx, cy, c, s = _line(points)
+    low, high, squares, last = np.inf, -np.inf, 0.0, 0.0
+    for i in range(len(points)):
+        x, y = points[i, 0] - cx, points[i, 1] - cy
+        last = c * x + s * y
+        low, high = min(low, last), max(high, last)
+        squares += (c * y - s * x) ** 2
+    if last < c * (points[0, 0] - cx) + s * (points[0, 1] - cy):
+        low, high = high, low
+    ends = np.array([[cx + low * c, cy + low * s], [cx + high * c, cy + high * s]])
+    return ends, np.sqrt(squares / len(points))
 
 
-def _split(points: FloatArray, tolerance: float) -> list[tuple[int, int]]:
-    """Index ranges [a, b) of the straight pieces of an open chain (Douglas-Peucker)."""
-    pieces, stack = [], [(0, len(points) - 1)]
+@nb.njit(cache=True)
+def _max_distance(points: FloatArray) -> float:
+    """Largest distance of points (n, 2) to the line through them."""
+    cx, cy, c, s = _line(points)
+    most = 0.0
+    for i in range(len(points)):
+        most = max(most, abs(c * (points[i, 1] - cy) - s * (points[i, 0] - cx)))
+    return most
+
+
+@nb.njit(cache=True)
+def _farthest(points: FloatArray, a: int, b: int) -> tuple[int, float]:
+    """The point between a and b that lies farthest from their chord, and how far."""
+    ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+    length = np.hypot(ux, uy)
+    worst, most = a, -1.0
+    for i in range(a + 1, b):
+        x, y = points[i, 0] - points[a, 0], points[i, 1] - points[a, 1]
+        distance = abs(x * uy - y * ux) / length if length > 0.0 else np.hypot(x, y)
+        if distance > most:
+            worst, most = i, distance
+    return worst, most
+
+
+@nb.njit(cache=True)
+def _straight_pieces(points: FloatArray, tolerance: float) -> list[tuple[int, int]]:
+    """Index ranges [a, b) of the straight pieces of an open chain: split, then merged back."""
+    pieces = [(0, 0)]
+    pieces.clear()
+    stack = [(0, len(points) - 1)]
     while stack:
         a, b = stack.pop()
-        chord = points[b] - points[a]
-        length = np.hypot(*chord)
-        inner = points[a + 1 : b] - points[a]
-        if len(inner):
-            if length > 0.0:
-                distance = np.abs(inner[:, 0] * chord[1] - inner[:, 1] * chord[0]) / length
-            else:
-                distance = np.hypot(inner[:, 0], inner[:, 1])
-            worst = int(np.argmax(distance))
-            if distance[worst] > tolerance:
-                stack += [(a + 1 + worst, b), (a, a + 1 + worst)]
-                continue
-        pieces.append((a, b + 1))
-    return sorted(pieces)
+        worst, distance = _farthest(points, a, b)
+        if distance > tolerance:  # Douglas-Peucker; the first half is looked at first
+            stack.append((worst, b))
+            stack.append((a, worst))
+        elif pieces and _max_distance(points[pieces[-1][0] : b + 1]) <= 0.75 * tolerance:
+            # What one line explains as well as two (greedy splits cut at odd places)
+            pieces[-1] = (pieces[-1][0], b + 1)
+        else:
+            pieces.append((a, b + 1))
+    return pieces
 
 
 def extract_line_segments(
@@ -69,16 +108,7 @@ def extract_line_segments(
     for chain in chains:
         if len(chain) < 3:
             continue
-        pieces = _split(chain, tolerance)
-        merged = [pieces[0]]
-        for a, b in pieces[1:]:
-            first = merged[-1][0]
-            # Merge back what one line explains as well as two (greedy splits cut at odd places).
-            if _max_distance(chain[first:b]) <= 0.75 * tolerance:
-                merged[-1] = (first, b)
-            else:
-                merged.append((a, b))
-        for a, b in merged:
+        for a, b in _straight_pieces(chain, tolerance):
             if b - a < 3:
                 continue
             ends, rms = _fit(chain[a:b])
@@ -86,10 +116,6 @@ def extract_line_segments(
                 segments.append(LineSegment(ends, float(np.hypot(rms, floor_sigma))))
                 squares, explained = squares + rms**2 * (b - a), explained + b - a
     return tuple(segments), float(np.sqrt(squares / explained)) if explained else None
-
-
-def _max_distance(points: FloatArray) -> float:
-    return float(np.abs(_line(points)[3]).max())
 
 
 def main_axes(segments: tuple[LineSegment, ...]) -> FloatArray:

@@ -250,8 +250,10 @@ def select_passages(
     found: list[IntArray] = []
     for necks in (True, False):
         before = found[0] if found else np.empty(0, np.int64)
+        # Necks are told by what their own lines see
+        clearance = np.zeros((0, 0), np.float32) if necks else clearance_of(walls)
         indices = _select(
-            walls, clearance_of(walls), ends, necks, 1.0 / resolution, config.free_depth,
+            walls, clearance, ends, necks, 1.0 / resolution, config.free_depth,
             config.narrowing, config.mean_narrowing, config.widening, config.hallway_length,
             np.concatenate([ends[before], ends]), len(before), config.thickest_wall / resolution,
         )  # fmt: skip

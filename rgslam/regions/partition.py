@@ -282,10 +282,13 @@ def near_wall(is_wall: BoolArray, resolution: float) -> BoolArray:
 
 def renumber(labels: LabelArray) -> tuple[LabelArray, IntArray, int]:
     """Labels 1..n by falling area (ties: by first cell), the new label of each old one, and n."""
-    present, first, counts = np.unique(labels, return_index=True, return_counts=True)
-    keep = present > 0
-    present, first, counts = present[keep], first[keep], counts[keep]
-    order = np.lexsort((first, -counts))
+    cells = labels.ravel()
+    counts = np.bincount(cells, minlength=1)
+    first = np.zeros(len(counts), np.int64)
+    first[cells[::-1]] = np.arange(len(cells))[::-1]  # of several values the last one stays
+    counts[0] = 0
+    present = np.flatnonzero(counts)
+    order = np.lexsort((first[present], -counts[present]))
     renamed = np.zeros(int(labels.max(initial=0)) + 1, np.int64)
     renamed[present[order]] = np.arange(1, len(order) + 1)
     return renamed[labels].astype(np.int32), renamed, len(order)

@@ -72,10 +72,12 @@ def _hidden(
 ) -> BoolArray:
     """The same for one region, in its part of the grid."""
     there, size = _turn_to_walls(inside)
-    mask, occupied, others = (
-        cv2.warpAffine(image.astype(np.uint8), there, size, flags=cv2.INTER_NEAREST) > 0
-        for image in (inside, is_wall & ~inside, taken)
-    )
+
+    def turned(image: BoolArray) -> BoolArray:
+        image = image.view(np.uint8)
+        return np.asarray(cv2.warpAffine(image, there, size, flags=cv2.INTER_NEAREST) > 0, bool)
+
+    mask = turned(inside)
     # Thresholds of doors, and beams through a gap, reach past a wall: it is where the bulk ends
     width = 2 * int(np.ceil(0.5 * config.gateways.door_leaf / resolution)) + 1
     bulk = cv2.morphologyEx(
@@ -87,23 +89,21 @@ def _hidden(
     number, pieces, stats, _ = cv2.connectedComponentsWithStats(
         places.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
     )
-    if number == 1:
+    # A recess no longer than a chair is as likely a column as a bin
+    sizes, longest = config.regions, stats[:, 2:4].max(axis=1) * resolution
+    good = (longest > sizes.largest_object) & (longest <= sizes.largest_furniture)
+    good[0] = False
+    if not good.any():
         return np.zeros_like(inside)
+    occupied, others = turned(is_wall & ~inside), turned(taken)
     near = cv2.dilate(mask.astype(np.uint8), np.ones((2 * front + 1, 2 * front + 1), np.uint8)) > 0
     looked_into = np.bincount(pieces[occupied & ~near], minlength=number)
     # No laser sees all of what is inside: such a place was drawn
     drawn = np.bincount(pieces[occupied], minlength=number) > (1.0 - _SEEN_INSIDE) * stats[:, 4]
     beside = cv2.dilate(others.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     of_others = np.bincount(pieces[beside], minlength=number)
-    sizes, longest = config.regions, stats[:, 2:4].max(axis=1) * resolution
-    good = (
-        # A recess no longer than a chair is as likely a column as a bin
-        (longest > sizes.largest_object)
-        & (longest <= sizes.largest_furniture)
-        & (drawn | (looked_into <= _SEEN_INSIDE * stats[:, 4]))
-        & (of_others <= _OF_OTHERS * stats[:, 4])
-    )
-    good[0] = False
+    good &= drawn | (looked_into <= _SEEN_INSIDE * stats[:, 4])
+    good &= of_others <= _OF_OTHERS * stats[:, 4]
     for i in np.flatnonzero(good).tolist():
         x, y, w, h = stats[i, :4].tolist()
         piece = pieces[y : y + h, x : x + w] == i
