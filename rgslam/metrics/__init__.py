@@ -16,6 +16,7 @@ from rgslam.metrics.against_truth import (
 from rgslam.metrics.consistency import Nees, keyframe_errors, nees
 from rgslam.metrics.crossings import CrossingErrors, crossing_errors
 from rgslam.metrics.evaluation import Evaluation, evaluate_map
+from rgslam.metrics.line_coverage import LineCoverage, line_coverage
 from rgslam.metrics.rectangles import (
     LandmarkErrors,
     ObservationErrors,
@@ -37,6 +38,7 @@ __all__ = [
     "Evaluation",
     "GatewayErrors",
     "LandmarkErrors",
+    "LineCoverage",
     "Nees",
     "ObservationErrors",
     "RegionErrors",
@@ -49,6 +51,7 @@ __all__ = [
     "keyframe_errors",
     "kuemmerle",
     "landmark_errors",
+    "line_coverage",
     "match_stamps",
     "nees",
     "observation_errors",
