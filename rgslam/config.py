@@ -73,7 +73,7 @@ class FactorGraphConfig(StageConfig):
     plane_sights: bool = True  # where beams ended on a landmark tells its plane
     # px by which shading, and what is too faint to be noticed, draws the borders of a thing aside
     # in all images alike; two of three corners in simulated buildings are off by less.
-    border_sigma_px: float = Field(0.1, ge=0.0)
+    border_sigma_px: float = Field(0.15, ge=0.0)
     # The camera's mount as a variable, known beforehand as one measures by rule and eye.
     calibrate: bool = False
     mount_turn_deg: float = Field(2.0, gt=0.0)
