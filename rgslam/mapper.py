@@ -25,6 +25,7 @@ from rgslam.frame_placing import HORIZON, FramePlacer, ScanPlace
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView, Rejection, contradicted
+from rgslam.moving_things import MovingThings, without
 from rgslam.observations import FrameObservations, RunMessage, observe_frame
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance
 from rgslam.rg_map import RGMap, RunInfo, mount_details
@@ -85,6 +86,7 @@ class Mapper:
         self.clock = clock or StageClock()
         self._odometry = OdometryBuffer()
         self._wheels = WheelNoise()
+        self._moving = MovingThings(self._wheels)
         self._keyframe_oTb: FloatArray | None = None  # odometry at the newest keyframe
         self._frames = FramePlacer(self._odometry)
         self._track = Track()
@@ -140,7 +142,7 @@ class Mapper:
         # Align the scan with the newest keyframes (Gutmann & Konolige 1999, local registration)
         with self.clock.stage("matching"):
             points = self._points_of(scan)
-            match = self._match(points, odometry, lambda: self._habit(scan))
+            points, match = self._match(points, odometry, oTb, lambda: self._habit(scan))
 
         # Remember it, and make it a keyframe when it shows something new
         self._remember(scan, oTb, odometry, match)
@@ -201,12 +203,27 @@ class Mapper:
         return points if np.count_nonzero(points.classes == SURFACE) >= 3 else None
 
     def _match(
-        self, points: ScanPoints | None, odometry: Motion, habit: Callable[[], Motion]
-    ) -> LocalMatch:
-        if points is None or not len(self._poses):
+        self,
+        points: ScanPoints | None,
+        odometry: Motion,
+        oTb: FloatArray | None,
+        habit: Callable[[], Motion],
+    ) -> tuple[ScanPoints | None, LocalMatch]:
+        """The scan without what moves, and where it lies."""
+        if points is None or self._geometry is None or not len(self._poses):
             prediction = compose(self._wTb, odometry.bTc)
-            return LocalMatch.predicted(prediction, 0.0, points is not None)
-        return self._local_map.match(points, self._wTb, odometry, habit)
+            return points, LocalMatch.predicted(prediction, 0.0, points is not None)
+        heading = self._wTb[2] + odometry.bTc[2]
+        moving = self._moving.find(points, self._geometry, oTb, heading)
+        still = points if moving is None else without(points, moving)
+        match = self._local_map.match(still, self._wTb, odometry, habit)
+        if moving is not None:
+            confirmed = self._moving.confirm(moving, points, self._geometry, match)
+            if not np.array_equal(confirmed, moving):
+                still, moving = without(points, confirmed), confirmed
+                match = self._local_map.match(still, self._wTb, odometry, habit)
+        self._moving.keep(points, moving, oTb, match.wTb)
+        return still, match
 
     def _remember(
         self, scan: LaserScan, oTb: FloatArray | None, odometry: Motion, match: LocalMatch
@@ -369,7 +386,9 @@ class Mapper:
                 self._poses = self._graph.optimise(before, convex_start, tolerance, iterations)
             elif not underway:
                 self._poses = self._graph.optimise(self._poses, False, tolerance, iterations)
-        self._wTb = compose(self._poses[-1], self._track.kTb[-1])
+        wTb = compose(self._poses[-1], self._track.kTb[-1])
+        self._moving.move(self._wTb, wTb)
+        self._wTb = wTb
         self._unsettled = 0
 
     def _take_back(self, loops: list[LoopCandidate], reason: Rejection) -> None:

@@ -23,6 +23,12 @@ _SCALE = 1.1
 _SLIP, _WAY_BETWEEN_SLIPS = np.radians(5.0), 10.0
 #: Share of the beams that return anything at all.
 _RANDOM_BEAMS = 0.2
+#: People who walk along with the robot: how many, how thick, how near and how far; they sway by so
+#: much about their place (m), from scan to scan less by so much.
+_WALKERS, _WALKER_RADIUS, _WALKER_NEAR, _WALKER_FAR = 4, 0.2, 0.8, 3.0
+_SWAY, _SWAY_LEFT = 0.25, 0.95
+#: Scans for which one of them stays on average, and the share of the beams that they hide at most.
+_WALKER_SCANS, _HIDDEN_BEAMS = 100.0, 0.2
 #: rad, what is left of the field of view.
 _FIELD_OF_VIEW = np.radians(90.0)
 
@@ -95,6 +101,40 @@ def random_beams(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
             yield message
 
 
+def walking_people(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
+    """People who walk along with the robot hide up to a fifth of the beams, wherever it goes."""
+    rng = np.random.default_rng(0)
+    places = np.zeros((0, 2))
+    sway = np.zeros((0, 2))
+    for message in messages:
+        if not isinstance(message, LaserScan):
+            yield message
+            continue
+        stays = rng.random(len(places)) > 1.0 / _WALKER_SCANS
+        new = _WALKERS - int(np.count_nonzero(stays))
+        polar = rng.uniform((_WALKER_NEAR, -1.5), (_WALKER_FAR, 1.5), (new, 2))
+        joining = polar[:, :1] * np.column_stack([np.cos(polar[:, 1]), np.sin(polar[:, 1])])
+        places = np.concatenate([places[stays], joining])
+        sway = np.concatenate([sway[stays], np.zeros((new, 2))])
+        sway = _SWAY_LEFT * sway + _SWAY * np.sqrt(1 - _SWAY_LEFT**2) * rng.normal(size=sway.shape)
+        yield replace(message, ranges=_hidden_by(message, places + sway))
+
+
+def _hidden_by(scan: LaserScan, l_places: FloatArray) -> FloatArray:
+    """Ranges (n,) of a scan behind people at places (k, 2) in the laser frame."""
+    ranges = scan.ranges.copy()
+    rays = np.column_stack([np.cos(scan.angles), np.sin(scan.angles)])
+    for place in l_places:
+        along, aside = rays @ place, rays @ (place[1], -place[0])
+        half = np.sqrt(np.maximum(_WALKER_RADIUS**2 - aside**2, 0.0))
+        front = along - half
+        hides = (half > 0.0) & (front > 0.1) & ~(ranges <= front)  # also what was lost
+        hidden = np.count_nonzero(ranges != scan.ranges) + np.count_nonzero(hides)
+        if hidden <= _HIDDEN_BEAMS * len(ranges):
+            ranges[hides] = front[hides]
+    return ranges
+
+
 def narrow_view(messages: Iterator[RunMessage]) -> Iterator[RunMessage]:
     """Only the 90 degrees ahead are seen."""
     for message in messages:
@@ -126,6 +166,7 @@ ABLATIONS: dict[str, Change] = {
     "odometry slips 5 deg": slipping_odometry,
     "every second scan": every_second_scan,
     "20 % random beams": random_beams,
+    "people walking along": walking_people,
     "90 deg field of view": narrow_view,
     "no odometry": no_odometry,
 }

@@ -9,6 +9,7 @@ with a covariance that comes from the match itself.
 
 from rgslam.scan_matching.agreement import Agreement, agreement
 from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
+from rgslam.scan_matching.moving import PLACE_TOLERANCE, SeenScan, moving_points
 from rgslam.scan_matching.noise import BeamCorrelation
 from rgslam.scan_matching.registration import (
     Registration,
@@ -33,6 +34,7 @@ from rgslam.scan_matching.surfel_map import SurfelMap, Surfels, build_surfel_map
 __all__ = [
     "EDGE",
     "INVALID",
+    "PLACE_TOLERANCE",
     "POINT",
     "SURFACE",
     "Agreement",
@@ -42,6 +44,7 @@ __all__ = [
     "Registration",
     "ScanPoints",
     "ScanStore",
+    "SeenScan",
     "SurfelMap",
     "Surfels",
     "agreement",
@@ -49,6 +52,7 @@ __all__ = [
     "correlate",
     "gate_schedule",
     "line_residuals",
+    "moving_points",
     "register",
     "scan_points",
     "solve",

@@ -17,6 +17,95 @@ from numba import njit
 from rgslam.scan_matching.scan_points import ScanStore
 from rgslam.types import FloatArray, IntArray
 
+#: What one reference scan says of a place: it could not see it, it looked through it. Anything else
+#: is the number of a beam that ended there.
+UNSEEN, THROUGH = -1, -2
+#: Beams to either side that are asked at most: a place this near is as wide as the view.
+_REACH = 12
+
+
+@njit(cache=True, nogil=True)
+def look(
+    x: float,
+    y: float,
+    points: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    polar: FloatArray,
+    tolerance: float,
+) -> int:
+    """What a scan says of a place.
+
+    Args:
+        x: of the place, in the robot's frame b at the scan.
+        y: the same.
+        points: (n, 2), b, of the scan.
+        classes: (n,), of the scan.
+        polar: of the scanner, see `LaserGeometry.polar`.
+        tolerance: m, distance at which the place is still on a surface.
+
+    Returns:
+        The first beam that ended there, else UNSEEN or THROUGH.
+    """
+    n = len(classes)
+    cl, sl = np.cos(polar[5]), np.sin(polar[5])
+    lx = cl * (x - polar[3]) + sl * (y - polar[4])
+    ly = -sl * (x - polar[3]) + cl * (y - polar[4])
+    rho = np.sqrt(lx * lx + ly * ly)
+    centre = (np.arctan2(ly, lx) - polar[0]) / polar[1]
+    if polar[2] > 0.0:
+        centre %= 2.0 * np.pi / abs(polar[1])
+    k0 = int(np.floor(centre + 0.5))
+    reach = int(np.ceil(tolerance / max(rho * abs(polar[1]), 1e-3)))
+    reach = min(max(reach, 1), _REACH)
+    through, seen = True, 0
+    for k in range(k0 - reach, k0 + reach + 1):
+        j = k
+        if polar[2] > 0.0:
+            j = k % n
+        elif k < 0 or k >= n:
+            continue
+        if classes[j] == 0:
+            continue
+        seen += 1
+        ex, ey = x - points[j, 0], y - points[j, 1]
+        if ex * ex + ey * ey < tolerance * tolerance:
+            return j
+        vx, vy = points[j, 0] - polar[3], points[j, 1] - polar[4]
+        if vx * vx + vy * vy < (rho + 2.0 * tolerance) ** 2:
+            through = False
+    return THROUGH if through and seen >= 2 else UNSEEN
+
+
+@njit(cache=True, nogil=True)
+def look_at_all(
+    pose: FloatArray,
+    points: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    ref_points: FloatArray,
+    ref_classes: npt.NDArray[np.uint8],
+    polar: FloatArray,
+    tolerance: float,
+) -> IntArray:
+    """What one scan (the reference) says of every point (n,) of another one; see `look`.
+
+    Args:
+        pose: (3,), of the other one in the frame of the reference.
+        points: (n, 2), of the other one.
+        classes: (n,), of the other one.
+        ref_points: (n, 2), of the reference.
+        ref_classes: (n,), of the reference.
+        polar: of the scanner, see `LaserGeometry.polar`.
+        tolerance: m, distance at which a point is still on a surface.
+    """
+    found = np.full(len(points), UNSEEN)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for i in range(len(points)):
+        if classes[i] != 0:
+            x = pose[0] + c * points[i, 0] - s * points[i, 1]
+            y = pose[1] + s * points[i, 0] + c * points[i, 1]
+            found[i] = look(x, y, ref_points, ref_classes, polar, tolerance)
+    return found
+
 
 @njit(cache=True, nogil=True)
 def _agreement(
@@ -30,9 +119,7 @@ def _agreement(
     tolerance: float,
 ) -> tuple[int, int, int]:
     agree, contradict, unseen = 0, 0, 0
-    n = store_classes.shape[1]
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    cl, sl = np.cos(polar[5]), np.sin(polar[5])
     for i in range(len(points)):
         x = pose[0] + c * points[i, 0] - s * points[i, 1]
         y = pose[1] + s * points[i, 0] + c * points[i, 1]
@@ -40,39 +127,14 @@ def _agreement(
         for r in range(len(refs)):
             cr, sr = np.cos(ref_poses[r, 2]), np.sin(ref_poses[r, 2])
             dx, dy = x - ref_poses[r, 0], y - ref_poses[r, 1]
-            qx, qy = cr * dx + sr * dy, -sr * dx + cr * dy
-            lx = cl * (qx - polar[3]) + sl * (qy - polar[4])
-            ly = -sl * (qx - polar[3]) + cl * (qy - polar[4])
-            rho = np.sqrt(lx * lx + ly * ly)
-            centre = (np.arctan2(ly, lx) - polar[0]) / polar[1]
-            if polar[2] > 0.0:
-                centre %= 2.0 * np.pi / abs(polar[1])
-            k0 = int(np.floor(centre + 0.5))
-            reach = int(np.ceil(tolerance / max(rho * abs(polar[1]), 1e-3)))
-            reach = min(max(reach, 1), 12)
-            through, seen = True, 0
-            for k in range(k0 - reach, k0 + reach + 1):
-                j = k
-                if polar[2] > 0.0:
-                    j = k % n
-                elif k < 0 or k >= n:
-                    continue
-                if store_classes[refs[r], j] == 0:
-                    continue
-                seen += 1
-                ex = qx - store_points[refs[r], j, 0]
-                ey = qy - store_points[refs[r], j, 1]
-                if ex * ex + ey * ey < tolerance * tolerance:
-                    seen_at = True
-                    break
-                vx = store_points[refs[r], j, 0] - polar[3]
-                vy = store_points[refs[r], j, 1] - polar[4]
-                if vx * vx + vy * vy < (rho + 2.0 * tolerance) ** 2:
-                    through = False
-            if seen_at:
+            found = look(
+                cr * dx + sr * dy, -sr * dx + cr * dy,
+                store_points[refs[r]], store_classes[refs[r]], polar, tolerance,
+            )  # fmt: skip
+            if found >= 0:
+                seen_at = True
                 break
-            if through and seen >= 2:
-                seen_through = True
+            seen_through = seen_through or found == THROUGH
         if seen_at:
             agree += 1
         elif seen_through:

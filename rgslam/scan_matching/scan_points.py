@@ -42,6 +42,11 @@ class LaserGeometry:
         """Whether the last beam is a neighbour of the first."""
         return self.beams * abs(self.angle_step) > 2.0 * np.pi - 1.5 * abs(self.angle_step)
 
+    @cached_property
+    def polar(self) -> FloatArray:
+        """As kernels take it: angle_min, angle_step, full circle, bTl x, y, theta."""
+        return np.array([self.angle_min, self.angle_step, float(self.full_circle), *self.bTl])
+
     @classmethod
     def from_scan(cls, scan: LaserScan) -> LaserGeometry:
         """Read the geometry off a scan.
@@ -297,9 +302,8 @@ class ScanStore:
 
     @property
     def polar(self) -> FloatArray:
-        """The geometry as kernels take it: angle_min, angle_step, full circle, bTl x, y, theta."""
-        g = self.geometry
-        return np.array([g.angle_min, g.angle_step, float(g.full_circle), *g.bTl])
+        """The geometry as kernels take it, see `LaserGeometry.polar`."""
+        return self.geometry.polar
 
 
 @njit(cache=True, nogil=True)
