@@ -86,7 +86,7 @@ class Mapper:
         self.clock = clock or StageClock()
         self._odometry = OdometryBuffer()
         self._wheels = WheelNoise()
-        self._moving = MovingThings(self._wheels)
+        self._moving = MovingThings(self._wheels, self.config.scan_matching.doubtful_inliers)
         self._keyframe_oTb: FloatArray | None = None  # odometry at the newest keyframe
         self._frames = FramePlacer(self._odometry)
         self._track = Track()

@@ -51,7 +51,14 @@ class _Kept:
 class MovingThings:
     """Keeps the scans of the last metre and says what has moved since."""
 
-    def __init__(self, wheels: WheelNoise) -> None:
+    def __init__(self, wheels: WheelNoise, doubtful_inliers: float) -> None:
+        """No scan yet.
+
+        Args:
+            wheels: what they get wrong.
+            doubtful_inliers: share of a scan's points that fit below which odometry may be wrong.
+        """
+        self._doubtful_inliers = doubtful_inliers
         self._wheels = wheels
         self._kept: deque[_Kept] = deque(maxlen=_KEPT)
         self._around = False  # whether the newest scan that was kept shows any
@@ -79,13 +86,17 @@ class MovingThings:
     ) -> Mask:
         """Those of the beams (n,) that move by the laser as well, where it knows the way.
 
+        None do where the others do not fit either: the wheels are wrong.
+
         Args:
             moving: (n,), by the wheels.
             scan: the newest one.
             geometry: of the scanner.
             match: of the scan without them.
         """
-        if not match.trusted or _way_sigma(match) > _KNOWN:
+        if match.inliers < self._doubtful_inliers:
+            return np.zeros(len(moving), bool)
+        if _way_sigma(match) > _KNOWN:
             return moving
         poses = [between(kept.wTb, match.wTb) for kept in self._kept]
         return moving & moving_points(scan, [kept.scan for kept in self._kept], poses, geometry)

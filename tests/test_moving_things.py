@@ -95,7 +95,7 @@ def test_somebody_who_stops_belongs_to_the_building_again() -> None:
 
 def test_wheels_that_spin_make_nothing_move() -> None:
     # Most of a square room would have moved: it is the wheels
-    things = MovingThings(WheelNoise())
+    things = MovingThings(WheelNoise(), 0.6)
     around = np.maximum(np.abs(np.cos(ANGLES)), np.abs(np.sin(ANGLES)))
     scan = scan_points(3.0 / around, GEOMETRY, NOISE)
     things.keep(scan, None, np.zeros(3), np.zeros(3))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rgslam.scan_matching.scan_points import ScanStore
-from rgslam.types import FloatArray, IntArray
+from rgslam.types import FloatArray, IntArray, Mask
 
 #: What one reference scan says of a place: it could not see it, it looked through it. Anything else
 #: is the number of a beam that ended there.
@@ -80,7 +80,7 @@ def look(
 def look_at_all(
     pose: FloatArray,
     points: FloatArray,
-    classes: npt.NDArray[np.uint8],
+    asked: Mask,
     ref_points: FloatArray,
     ref_classes: npt.NDArray[np.uint8],
     polar: FloatArray,
@@ -91,7 +91,7 @@ def look_at_all(
     Args:
         pose: (3,), of the other one in the frame of the reference.
         points: (n, 2), of the other one.
-        classes: (n,), of the other one.
+        asked: (n,), which of them matter; of the others nothing is said (UNSEEN).
         ref_points: (n, 2), of the reference.
         ref_classes: (n,), of the reference.
         polar: of the scanner, see `LaserGeometry.polar`.
@@ -100,7 +100,7 @@ def look_at_all(
     found = np.full(len(points), UNSEEN)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     for i in range(len(points)):
-        if classes[i] != 0:
+        if asked[i]:
             x = pose[0] + c * points[i, 0] - s * points[i, 1]
             y = pose[1] + s * points[i, 0] + c * points[i, 1]
             found[i] = look(x, y, ref_points, ref_classes, polar, tolerance)

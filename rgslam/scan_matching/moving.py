@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rgslam.geometry import inverse, transform_points
@@ -50,43 +51,55 @@ def moving_points(
 
     Args:
         scan: the newest one.
-        earlier: scans of the last metre or so of way, far enough apart that whoever walks along
-            with the robot has left his place from one to the next.
+        earlier: scans of the last metre or so of way, the newest last, far enough apart that
+            whoever walks along with the robot has left his place from one to the next.
         poses: (3,) each, of the newest scan in the frame of the earlier one.
         geometry: of the scanner.
     """
-    here = _located(scan, geometry)
-    stands, contradicted = np.zeros(len(here), bool), np.zeros(len(here), bool)
-    times = np.zeros(len(here), np.int64)
+    asked = _located(scan, geometry)
+    contradicted, times = np.zeros(len(asked), bool), np.zeros(len(asked), np.int64)
+    for old, oTn in zip(reversed(earlier), reversed(poses), strict=True):
+        found = _look(oTn, scan, asked, old.points, geometry)
+        times += found >= 0
+        contradicted |= found == THROUGH
+        asked &= (times < _STANDING) & ((found < 0) | old.moving[np.maximum(found, 0)])
+        if not _in_runs(asked).any():
+            return np.zeros(len(asked), bool)  # all of it stands, which is the rule
     left: list[FloatArray] = []
     for old, oTn in zip(earlier, poses, strict=True):
-        found = _look(oTn, scan, old.points, geometry)
-        times += found >= 0
-        stands |= (found >= 0) & ~old.moving[np.maximum(found, 0)]
-        contradicted |= found == THROUGH
         nTo = inverse(oTn)
-        through = _look(nTo, old.points, scan, geometry) == THROUGH
-        gone = _in_runs(_located(old.points, geometry) & through) | old.moving
-        left.append(transform_points(nTo, old.points.points[gone]))
-    stands |= times >= _STANDING
-    traces = np.concatenate(left) if left else np.empty((0, 2))
-    open_question = here & ~stands
-    return _in_runs(open_question & (contradicted | _near(scan.points, open_question, traces)))
+        through = _look(nTo, old.points, _located(old.points, geometry), scan, geometry) == THROUGH
+        left.append(transform_points(nTo, old.points.points[_in_runs(through) | old.moving]))
+    return _in_runs(asked & (contradicted | _near(scan.points, asked, np.concatenate(left))))
 
 
 def _located(scan: ScanPoints, geometry: LaserGeometry) -> Mask:
     """Points (n,) on surfaces or edges near enough for neighbouring beams to meet in one place."""
-    ranges = np.hypot(*(scan.points - geometry.bTl[:2]).T)
-    with np.errstate(invalid="ignore"):
-        near = ranges * abs(geometry.angle_step) <= PLACE_TOLERANCE
-    return np.asarray(near & (scan.classes >= SURFACE), bool)
+    farthest = PLACE_TOLERANCE / abs(geometry.angle_step)
+    return _surfaces_within(farthest, scan.points, scan.classes, geometry.bTl)
+
+
+@njit(cache=True, nogil=True)
+def _surfaces_within(
+    farthest: float, points: FloatArray, classes: npt.NDArray[np.uint8], bTl: FloatArray
+) -> Mask:
+    found = np.zeros(len(points), np.bool_)
+    for i in range(len(points)):
+        if classes[i] >= SURFACE:
+            dx, dy = points[i, 0] - bTl[0], points[i, 1] - bTl[1]
+            found[i] = dx * dx + dy * dy <= farthest * farthest
+    return found
 
 
 def _look(
-    pose: FloatArray, points: ScanPoints, reference: ScanPoints, geometry: LaserGeometry
+    pose: FloatArray,
+    points: ScanPoints,
+    asked: Mask,
+    reference: ScanPoints,
+    geometry: LaserGeometry,
 ) -> IntArray:
     return look_at_all(
-        pose, points.points, points.classes, reference.points, reference.classes, geometry.polar,
+        pose, points.points, asked, reference.points, reference.classes, geometry.polar,
         PLACE_TOLERANCE,
     )  # fmt: skip
 
@@ -106,11 +119,15 @@ def _near(points: FloatArray, asked: Mask, traces: FloatArray) -> Mask:
     return near
 
 
+@njit(cache=True, nogil=True)
 def _in_runs(flags: Mask) -> Mask:
     """The flags (n,) that stand in runs of enough beams."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    kept = np.zeros(len(flags), bool)
-    for start, end in edges.reshape(-1, 2).tolist():
-        if end - start >= _LEAST_RUN:
-            kept[start:end] = True
+    kept = np.zeros(len(flags), np.bool_)
+    run = 0
+    for i in range(len(flags)):
+        run = run + 1 if flags[i] else 0
+        if run == _LEAST_RUN:
+            kept[i - _LEAST_RUN + 1 : i] = True
+        if run >= _LEAST_RUN:
+            kept[i] = True
     return kept
