@@ -164,7 +164,7 @@ def slam_experiment(
         int, typer.Option("--seeds", min=0, help="Simulated runs per built-in world.")
     ] = 0,
     ablations: Annotated[
-        bool, typer.Option("--ablations", help="Map every log made worse in six ways too.")
+        bool, typer.Option("--ablations", help="Map every log made worse in seven ways too.")
     ] = False,
     large: Annotated[
         bool, typer.Option("--large", help="Simulate large buildings of look-alike hallways too.")
