@@ -95,7 +95,7 @@ def paint(
             v += way * frames[piece, 2, axis]
             facing -= rays[k, 3 + axis] * frames[piece, 3, axis]
         width, height = numbers[piece, 0], numbers[piece, 1]
-        border, seam, foot = numbers[piece, 3], numbers[piece, 6], numbers[piece, 7]
+        border, seam = numbers[piece, 3], numbers[piece, 6]
         # Where the point is on the piece's sheet
         across, up = u + place[piece, 0], v + place[piece, 1]
         falls = _light_at(
@@ -104,7 +104,7 @@ def paint(
         )  # fmt: skip
         finish = finishes[piece]
         aside = min(u, width - u)
-        if v < foot or min(aside, height - v) < seam:
+        if min(aside, height - v) < seam:
             seen = falls * _GAP
         elif border > 0.0 and min(aside, min(v, height - v)) < border:
             seen = falls * numbers[piece, 4] * (_BELOW if v < min(aside, height - v) else 1.0)

@@ -43,7 +43,7 @@ class Paint:
     """Pieces as arrays, for the painting kernel."""
 
     frames: FloatArray  # (m, 4, 3): corner, across, up, normal
-    numbers: FloatArray  # (m, 8): width, height, tone, border, border_tone, detail, seam, foot
+    numbers: FloatArray  # (m, 7): width, height, tone, border, border_tone, detail, seam
     finishes: IntArray  # (m,)
     light: LightMap
     glow: FloatArray  # (2,), light given by windows and by lamps
@@ -160,7 +160,7 @@ def _as_paint(pieces: list[Piece], scene: RayScene, world: World) -> Paint:
     return Paint(
         frames=np.array([[p.corner, p.across, p.up, np.cross(p.across, p.up)] for p in pieces]),
         numbers=np.array(
-            [[*p.size, p.tone, p.border, p.border_tone, p.detail, p.seam, p.foot] for p in pieces],
+            [[*p.size, p.tone, p.border, p.border_tone, p.detail, p.seam] for p in pieces],
             float,
         ),
         finishes=np.array([int(p.finish) for p in pieces]),

@@ -27,10 +27,10 @@ from rgslam.types import FloatArray
 _PROUD = 2e-4
 #: Width of the casing around a door, m, and its tone: grey enamel.
 _CASING, _CASING_TONE = 0.07, 0.5
-#: Width of the frame of a window, m, and its tone: aluminium.
-_WINDOW_FRAME, _WINDOW_TONE = 0.03, 0.4
-#: What is dark around a closed leaf, and what is dark where a leaf or a box stands, m.
-_SEAM, _FOOT = 0.003, 0.006
+#: Width of the frame of a window, m, and its tone: dark aluminium.
+_WINDOW_FRAME, _WINDOW_TONE = 0.03, 0.25
+#: What is dark around a closed leaf, m.
+_SEAM = 0.003
 #: Height of a skirting board, m, and its tone.
 _SKIRTING, _SKIRTING_TONE = 0.08, 0.28
 #: Half the width of the neck of a stand, m.
@@ -83,7 +83,6 @@ class Piece:
     border: float = 0.0  # m
     border_tone: float = 0.0
     seam: float = 0.0  # m, dark, along both sides and the top
-    foot: float = 0.0  # m, dark, along the bottom
     detail: float = 0.0  # LEAF: +1 = the handle is at the right, -1 = at the left
     name: str = ""  # of the rectangle of the truth; "" = none
     label: str = ""
@@ -215,7 +214,6 @@ def _leaf_pieces(solid: Solid, door: Door) -> Iterator[Piece]:
             finish=finish,
             detail=1.0 if at_right else -1.0,
             seam=_SEAM if door.state is DoorState.CLOSED else 0.0,
-            foot=_FOOT,
             name=f"door {door.name} {'front' if faces == 0 else 'back'}",
             label="door",
         )
@@ -249,7 +247,6 @@ def _box_pieces(solid: Solid, box: Box) -> Iterator[Piece]:
         yield replace(
             piece,
             finish=_finish(box.surface) if dressed else _PLAINER[box.surface],
-            foot=_FOOT if face.startswith("side") and solid.bottom == 0.0 else 0.0,
             name=f"{box.name} {face}",
             label=box.label,
             cuboid=box.name,
