@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,17 +32,36 @@ class CorrelativeMatch:
     rival_score: float  # best score elsewhere, 0 when there is none worth naming
 
 
+class _TurnedCells(NamedTuple):
+    """Cells of n points at each turn. Of most it is known that no shift takes them off the grid."""
+
+    inner: npt.NDArray[np.int64]  # (turns,), how many stay on it
+    flat: npt.NDArray[np.int64]  # (turns, n), row * columns + column of those, from the front
+    outer: npt.NDArray[np.int32]  # (turns, n, 2), row and column of the rest, from the front
+
+
 @njit(cache=True, nogil=True)
 def _score_block(
-    level: npt.NDArray[np.uint8],
-    cells: npt.NDArray[np.int32],
-    dr: int,
-    dc: int,
+    level: npt.NDArray[np.uint8], cells: _TurnedCells, t: int, dr: int, dc: int
+) -> int:
+    cols = level.shape[1]
+    values, flat = level.ravel(), cells.flat[t]
+    inner, shift = cells.inner[t], dr * cols + dc
+    total = 0
+    for i in range(inner):
+        total += values[np.uint64(flat[i] + shift)]  # unsigned: no look for negative indices
+    return total + _score_outer(level, cells, t, dr, dc)
+
+
+@njit(cache=True, nogil=True)
+def _score_outer(
+    level: npt.NDArray[np.uint8], cells: _TurnedCells, t: int, dr: int, dc: int
 ) -> int:
     rows, cols = level.shape
+    outer = cells.outer[t]
     total = 0
-    for i in range(len(cells)):
-        r, c = cells[i, 0] + dr, cells[i, 1] + dc
+    for i in range(cells.flat.shape[1] - cells.inner[t]):
+        r, c = outer[i, 0] + dr, outer[i, 1] + dc
         if 0 <= r < rows and 0 <= c < cols:
             total += level[r, c]
     return total
@@ -55,23 +75,36 @@ def _turned_cells(
     turn: float,
     resolution: float,
     origin: FloatArray,
-) -> npt.NDArray[np.int32]:
-    cells = np.empty((2 * half_turns + 1, len(points), 2), np.int32)
-    for t in range(len(cells)):
+    shape: tuple[int, int],
+    half_cells: int,
+) -> _TurnedCells:
+    turns, n = 2 * half_turns + 1, len(points)
+    inner = np.zeros(turns, np.int64)
+    flat, outer = np.empty((turns, n), np.int64), np.empty((turns, n, 2), np.int32)
+    for t in range(turns):
         a = centre[2] + (t - half_turns) * turn
         c, s = np.cos(a), np.sin(a)
-        for i in range(len(points)):
+        k = 0
+        for i in range(n):
             x = centre[0] + c * points[i, 0] - s * points[i, 1]
             y = centre[1] + s * points[i, 0] + c * points[i, 1]
-            cells[t, i, 0] = int(np.floor((y - origin[1]) / resolution))
-            cells[t, i, 1] = int(np.floor((x - origin[0]) / resolution))
-    return cells
+            row = int(np.floor((y - origin[1]) / resolution))
+            col = int(np.floor((x - origin[0]) / resolution))
+            # Two rows more, as four blocks are read at a time, up to three of them for nothing
+            stays = half_cells <= row < shape[0] - half_cells - 2
+            if stays and half_cells <= col < shape[1] - half_cells:
+                flat[t, k] = row * shape[1] + col
+                k += 1
+            else:
+                outer[t, i - k, 0], outer[t, i - k, 1] = row, col
+        inner[t] = k
+    return _TurnedCells(inner, flat, outer)
 
 
 @njit(cache=True, nogil=True)
 def _bounds(
     level: npt.NDArray[np.uint8],
-    cells: npt.NDArray[np.int32],
+    cells: _TurnedCells,
     half_cells: int,
     block: int,
     turn: float,
@@ -79,17 +112,31 @@ def _bounds(
     penalty: FloatArray,
 ) -> FloatArray:
     """What a pose of each block can score at most."""
-    turns, n = cells.shape[0], cells.shape[1]
+    turns, n = cells.flat.shape
     blocks = (2 * half_cells) // block + 1
     bounds = np.empty(turns * blocks * blocks)
+    values, cols = level.ravel(), level.shape[1]
+    best = np.empty(blocks + 3, np.int64)
     for t in range(turns):
         turned = penalty[1] * ((t - turns // 2) * turn) ** 2
+        flat = cells.flat[t]
         for br in range(blocks):
+            r0 = br * block - half_cells
+            for bc in range(0, blocks, 4):
+                shift = r0 * cols + bc * block - half_cells
+                s0, s1, s2, s3 = 0, 0, 0, 0
+                for i in range(cells.inner[t]):
+                    at = flat[i] + shift
+                    s0 += values[np.uint64(at)]
+                    s1 += values[np.uint64(at + block)]
+                    s2 += values[np.uint64(at + 2 * block)]
+                    s3 += values[np.uint64(at + 3 * block)]
+                best[bc], best[bc + 1], best[bc + 2], best[bc + 3] = s0, s1, s2, s3
             for bc in range(blocks):
-                r0, c0 = br * block - half_cells, bc * block - half_cells
+                c0 = bc * block - half_cells
                 moved = penalty[0] * _off_centre(r0, c0, block) * resolution**2
-                best = _score_block(level, cells[t], r0, c0)
-                bounds[(t * blocks + br) * blocks + bc] = best - n * min(turned + moved, penalty[2])
+                most = best[bc] + _score_outer(level, cells, t, r0, c0)
+                bounds[(t * blocks + br) * blocks + bc] = most - n * min(turned + moved, penalty[2])
     return bounds
 
 
@@ -97,7 +144,7 @@ def _bounds(
 def _descend(
     level1: npt.NDArray[np.uint8],
     level2: npt.NDArray[np.uint8],
-    cells: npt.NDArray[np.int32],
+    cells: _TurnedCells,
     bounds: FloatArray,
     order: IntArray,
     half_cells: int,
@@ -113,7 +160,7 @@ def _descend(
     exclude: (reach in cells, reach in turns, row, col, turn) of a neighbourhood to leave out;
         reach < 0: none.
     """
-    turns, n = cells.shape[0], cells.shape[1]
+    turns, n = cells.flat.shape
     blocks = (2 * half_cells) // block + 1
     best, best_t, best_r, best_c = floor, turns // 2, 0, 0
     for o in order:
@@ -127,7 +174,7 @@ def _descend(
             for c1 in range(c0, min(c0 + block, half_cells + 1), 4):
                 if block > 4:
                     moved = penalty[0] * _off_centre(r1, c1, 4) * resolution**2
-                    bound = _score_block(level1, cells[t], r1, c1)
+                    bound = _score_block(level1, cells, t, r1, c1)
                     if bound - n * min(turned + moved, penalty[2]) <= best:
                         continue
                 for r in range(r1, min(r1 + 4, half_cells + 1)):
@@ -138,7 +185,7 @@ def _descend(
                         ):
                             continue
                         moved = penalty[0] * (r * r + c * c) * resolution**2
-                        value = _score_block(level2, cells[t], r, c)
+                        value = _score_block(level2, cells, t, r, c)
                         value = value - n * min(turned + moved, penalty[2])
                         if value > best:
                             best, best_t, best_r, best_c = value, t, r, c
@@ -224,7 +271,7 @@ def _search(
     penalty = np.array(prior_weight) * 255.0
     cells = _turned_cells(
         np.ascontiguousarray(points), np.asarray(centre, float), half_turns, turn,
-        known.surfels.resolution, known.surfels.origin,
+        known.surfels.resolution, known.surfels.origin, known.surfels.nearest.shape, half_cells,
     )  # fmt: skip
     lattice = (half_cells, block, turn, known.surfels.resolution, penalty)
     middle, fine = known.middle, known.fine
