@@ -98,14 +98,14 @@ def _shared_offsets(state: RectangleState, views: _Views) -> FloatArray:
 def _noticed_variances(variances: FloatArray, rates: FloatArray) -> FloatArray:
     """Of the offset of each side (4,), m^2.
 
-    An edge that two sights noticed is there in all of them; one alone may be a passing shadow.
+    An edge that some sights noticed is there for the others as well, too near or too faint to be
+    told: it counts as those say that noticed it.
     """
     # The pixels' own noise is what the clearest side shows
     clearest = variances.min()
     offsets = (variances - clearest) / rates**2
     noticed = variances > _NOTICED * clearest
-    twice = np.count_nonzero(noticed, axis=0) >= 2
-    return np.mean(offsets, axis=0, where=noticed | ~twice)
+    return np.mean(offsets, axis=0, where=noticed | ~noticed.any(axis=0))
 
 
 def _side_variances(state: RectangleState, views: _Views) -> tuple[FloatArray, FloatArray]:
