@@ -31,6 +31,8 @@ _CASING, _CASING_TONE = 0.07, 0.5
 _WINDOW_FRAME, _WINDOW_TONE = 0.03, 0.25
 #: What is dark around a closed leaf, m.
 _SEAM = 0.003
+#: Width of the floor, m, that a thing standing on it keeps all light from, and what comes back.
+_CONTACT, _CONTACT_TONE = 0.006, 0.04
 #: Height of a skirting board, m, and its tone.
 _SKIRTING, _SKIRTING_TONE = 0.08, 0.28
 #: Half the width of the neck of a stand, m.
@@ -131,6 +133,8 @@ def true_cuboids(world: World) -> tuple[TruthCuboid, ...]:
 
 def _of_solid(solid: Solid, world: World) -> Iterator[Piece]:
     source = solid.source
+    if source is not None and solid.bottom == 0.0:
+        yield from _contact(solid)
     if source is None:
         yield from _wall_pieces(solid, _wall_tone(solid, world))
     elif isinstance(source, Door):
@@ -175,6 +179,18 @@ def _sides(solid: Solid, finish: Finish, tone: float) -> Iterator[Piece]:
                 finish=finish,
                 tone=tone,
             )
+
+
+def _contact(solid: Solid) -> Iterator[Piece]:
+    """Strips of dark floor around what stands on it; too narrow for cells of the light."""
+    for side in _sides(solid, Finish.PLAIN, _CONTACT_TONE):
+        outward = np.cross(side.across, side.up)
+        yield replace(
+            side,
+            corner=side.corner + outward * _CONTACT + _PROUD * side.up,
+            up=-outward,
+            size=np.array([side.size[0], _CONTACT]),
+        )
 
 
 def _caps(solid: Solid, finish: Finish, tone: float) -> list[Piece]:
