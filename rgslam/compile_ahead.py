@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The rgslam authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compile loops that a run needs at its end while another process is at its beginning.
+"""Compile loops that a run needs later while another process is at its beginning.
 
 The first run after an installation compiles for tens of seconds, and one process compiles on one
 core only. What is compiled here is found in Numba's cache there.
@@ -14,13 +14,25 @@ import numpy.typing as npt
 from rgslam.loop_closing import EdgeTable
 from rgslam.occupancy_grid import build_occupancy_grid
 from rgslam.regions import segment_grid
+from rgslam.scan_matching import (
+    LaserGeometry,
+    ScanPoints,
+    ScanStore,
+    SurfelMap,
+    Surfels,
+    agreement,
+    gate_schedule,
+    line_residuals,
+    register,
+)
 from rgslam.types import EdgeKind, LaserScan, OccupancyGrid, PoseEdge
 
 _CELL = 0.05  # m
 
 
 def compile_later_stages() -> None:
-    """Go the way of loops, grid and regions once, with an edge, a scan and a small plan."""
+    """Go the way of matching, loops, grid and regions once, with as little as they take."""
+    _match_once()
     edges = EdgeTable()
     edges.add([PoseEdge(0, 1, np.zeros(3), np.eye(3), EdgeKind.MATCH)])
     edges.relative_covariances(0, 2)
@@ -28,6 +40,19 @@ def compile_later_stages() -> None:
     scan = LaserScan(0.0, np.full(31, 2.0), angles, 80.0, np.zeros(3))
     build_occupancy_grid([scan], np.zeros((1, 3)))
     segment_grid(OccupancyGrid(_plan(), _CELL, np.zeros(2)), of_run=True)
+
+
+def _match_once() -> None:
+    """What matching needs from the second scan on; the first takes other loops, and as long."""
+    normals, edges = np.zeros((1, 2)), np.zeros(1, np.bool_)
+    nearest = np.zeros((1, 1), np.int32)
+    surfels = Surfels(np.zeros((1, 2)), normals, np.zeros(1), edges, nearest, _CELL, np.zeros(2))
+    scan = ScanPoints(np.zeros((1, 2)), normals, np.zeros(1), np.zeros(1, np.uint8))
+    register(scan, np.zeros(3), SurfelMap(surfels), 0.01, gate_schedule(0.1, 0.01))
+    line_residuals(np.zeros(3), scan.points, scan.normals, scan.classes, surfels, 0.1)
+    store = ScanStore.empty(LaserGeometry(0.0, 0.1, 1, np.zeros(3)), 1)
+    store.append(scan)
+    agreement(scan.points, np.zeros(3), store, np.zeros(1, np.int64), np.zeros((1, 3)), 0.1)
 
 
 def _plan() -> npt.NDArray[np.float32]:

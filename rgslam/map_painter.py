@@ -83,10 +83,10 @@ def _submitted(pool: ProcessPoolExecutor, rg_map: RGMap) -> Future[bytes]:
 
 def _load() -> None:
     """What this process can do until there is a map."""
-    import rgslam.drawing  # noqa: F401
     from rgslam.compile_ahead import compile_later_stages
 
     compile_later_stages()
+    import rgslam.drawing  # noqa: F401
 
 
 def _draw(rg_map: RGMap) -> bytes:
