@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rgslam.config import Config
-from rgslam.gateways import detect_crossings
+from rgslam.gateways import detect_crossings, smooth_classes
 from rgslam.geometry import compose
 from rgslam.observations import PlacedFrame
 from rgslam.occupancy_grid import build_occupancy_grid
@@ -150,6 +150,11 @@ def _segment(
         # Walls and posts where the beams ended, not where cells begin
         hits = hits_of(run.keyframe_scans, run.poses)
         segmentation = fit_to_scans(segmentation, hits, grid.resolution, config)
+        # What every pass saw of a junction, one by one
+        gateways = smooth_classes(
+            segmentation.gateways, segmentation.regions, run.keyframe_scans, run.poses
+        )
+        segmentation = replace(segmentation, gateways=gateways)
         tell("regions and gateways", 1, 1)
     return grid, segmentation
 
