@@ -13,10 +13,10 @@ import pytest
 from door_runs import BTC, CAMERA, DoorRun, door_run, see, upright
 from scipy.stats import chi2
 
-from rgslam.config import DataAssociationConfig
+from rgslam.config import Config, DataAssociationConfig
 from rgslam.data_association import DataAssociation, FramePose, RectangleState, Track
 from rgslam.fusion import Fusion, Landmark, fuse_landmarks, joint_probability
-from rgslam.fusion.consistency import promoted
+from rgslam.fusion.consistency import promoted, seen_enough
 from rgslam.fusion.sights import sights_of
 from rgslam.geometry import between
 from rgslam.observations import FrameObservations, PlacedFrame
@@ -146,10 +146,19 @@ def test_what_ends_beside_the_camera_is_not_taken_for_what_is_seen() -> None:
 def test_two_sights_make_a_landmark_of_what_is_likely_a_thing() -> None:
     config = DataAssociationConfig()
     likely, doubtful = SimpleNamespace(probability=0.6), SimpleNamespace(probability=0.4)
-    assert promoted([likely] * 2, config)
-    assert not promoted([doubtful] * 2, config)
-    assert promoted([doubtful] * 3, config)
-    assert not promoted([likely], config)
+    assert seen_enough([likely] * 2, config)
+    assert not seen_enough([doubtful] * 2, config)
+    assert seen_enough([doubtful] * 3, config)
+    assert not seen_enough([likely], config)
+
+
+def test_a_stretch_of_wall_is_no_landmark() -> None:
+    config, spread = Config(), 1e-4 * np.eye(8)
+    for size, is_thing in (((1.0, 2.1), True), ((3.0, 2.7), False)):
+        seen = upright((4.0, 0.0, 0.5 * size[1]), np.pi, size)
+        track = Track(RectangleState(seen.wTr, seen.size, spread))
+        track.sights = [SimpleNamespace(probability=0.9)] * 5
+        assert promoted(track, config) is is_thing
 
 
 def test_probabilities_of_sights_that_err_alike_are_not_multiplied() -> None:

@@ -12,7 +12,8 @@ import pytest
 from rgslam.config import LandmarkConfig
 from rgslam.data_association import RectangleState
 from rgslam.fusion import Landmark
-from rgslam.landmarks import classify, describe_landmarks
+from rgslam.landmarks import describe_landmarks
+from rgslam.rectangle_classes import classify
 
 CONFIG = LandmarkConfig()
 

@@ -90,7 +90,7 @@ def solve(
         shared = [*edges, *covisibility_edges(frames, poses, tracks, start)]
         association = associate(frames, poses, start, shared, config)
         counts = association.counts
-        tracks = [track for track in association.tracks if promoted(track.sights, section)]
+        tracks = [track for track in association.tracks if promoted(track, config)]
 
         # Solve, take out what does not fit, solve again
         for _ in range(_ROUNDS):

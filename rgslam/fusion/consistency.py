@@ -12,16 +12,24 @@ import gtsam
 import numpy as np
 from scipy.special import chdtri
 
-from rgslam.config import DataAssociationConfig
+from rgslam.config import Config, DataAssociationConfig
 from rgslam.data_association import FramePose, RectangleState, Sight, Track, overlap, project
 from rgslam.factor_graph.joint_graph import corners_of, frame_key, planar
+from rgslam.rectangle_classes import WALL, classify
 from rgslam.types import FloatArray
 
 _MEASURED = 12  # x left, x right, y of four corners
 
 
-def promoted(sights: Sequence[Sight], config: DataAssociationConfig) -> bool:
-    """Whether sights of one thing make it a landmark."""
+def promoted(track: Track, config: Config) -> bool:
+    """Whether what was tracked is a landmark: seen often enough, and no stretch of wall."""
+    if not seen_enough(track.sights, config.data_association):
+        return False
+    return classify(track.state, config.landmarks)[0] != WALL
+
+
+def seen_enough(sights: Sequence[Sight], config: DataAssociationConfig) -> bool:
+    """Whether sights of one thing suffice to believe in it."""
     if len(sights) >= config.min_sights:
         return True
     if len(sights) < config.min_sure_sights:
@@ -63,7 +71,7 @@ def consistent_tracks(
         ]
         counts["sights taken out"] += len(fits) - sum(fits)
         sights = [s for s, good in zip(track.sights, fits, strict=True) if good]
-        if not promoted(sights, config):
+        if not seen_enough(sights, config):
             counts["landmarks retired: too few sights"] += 1
             continue
         turns = [t for t, good in zip(track.turns, fits, strict=True) if good]

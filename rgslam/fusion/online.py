@@ -148,9 +148,9 @@ class OnlineFusion:
         graph = JointGraph(self.config.factor_graph, self._cameras)
         for index in sorted(set(given.values())):
             track = self._association.tracks[index]
-            if not promoted(track.sights, self.config.data_association):
-                continue
             if index not in self._numbers:
+                if not promoted(track, self.config):
+                    continue
                 self._numbers[index] = len(self._numbers)
                 self._indices.append(index)
                 graph.add_rectangle(self._numbers[index], track.state.corners)
