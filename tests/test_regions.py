@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Regions: right on clean floors, the same at any angle, and nothing where there is nothing."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from rgslam.geometry import inverse, transform_points
 from rgslam.outlines import signed_area, trace_outlines
 from rgslam.regions.description import region_class
 from rgslam.regions.free_space import open_screens
-from rgslam.types import OccupancyGrid, RegionClass
+from rgslam.types import GatewayClass, OccupancyGrid, RegionClass
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +87,19 @@ def test_a_class_says_how_sure_it_is(area, clearance, exits, label, sure):
     found, probability = region_class(area, clearance, [door] * exits, RegionConfig())
     assert label in (None, found)
     assert probability == pytest.approx(sure, abs=0.08)
+
+
+def test_a_piece_of_a_hallway_is_one_however_short():
+    """1.8 x 4 m, and a room of 5 x 8 m, each with a door at one end."""
+    door = segment_grid(raster([*office()[0], *office()[1]], 0.1)).gateways[0]
+    junction = replace(door, label=GatewayClass.L_JUNCTION)
+    for area, clearance, other_end, label in (
+        (7.2, 0.75, door, RegionClass.ROOM),
+        (7.2, 0.75, junction, RegionClass.HALLWAY),
+        (40.0, 2.2, junction, RegionClass.ROOM),
+    ):
+        found, _ = region_class(area, clearance, [door, other_end], RegionConfig())
+        assert found is label
 
 
 @settings(max_examples=12, deadline=None)

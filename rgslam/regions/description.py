@@ -77,9 +77,10 @@ def region_class(
 
     Width and length are those of the rectangle with the same area and the same clearance in its
     inner part: corners, bends, rings, niches and furniture change them little. A hallway is long
-    for its width, not wider than hallways are, and leads somewhere or is the blind end of other
-    hallways; an open space is wide both ways. As the area is known, both are questions about the
-    width, and how far it is from either limit tells how sure the answer is.
+    for its width, not wider than hallways are, and leads somewhere; or it was divided from other
+    hallways at a junction, and may be short. An open space is wide both ways. As the area is
+    known, all are questions about the width, and how far it is from the limit tells how sure the
+    answer is.
 
     Args:
         area: m^2.
@@ -88,9 +89,10 @@ def region_class(
         config: the limits.
     """
     width = rectangle_width(area, inner_clearance)
-    leads_on = len(gateways) >= 2 or any(g.label in _JUNCTIONS for g in gateways)
-    widest = min(config.hallway_width, float(np.sqrt(area / config.hallway_elongation)))
-    hallway = _below(width, widest) if leads_on else 0.0
+    divided = any(g.label in _JUNCTIONS for g in gateways)
+    longest = np.inf if divided else float(np.sqrt(area / config.hallway_elongation))
+    leads_on = divided or len(gateways) >= 2
+    hallway = _below(width, min(config.hallway_width, longest)) if leads_on else 0.0
     open_space = 1.0 - _below(width, config.open_space_width)
     if hallway >= 0.5:
         return RegionClass.HALLWAY, hallway
