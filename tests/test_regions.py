@@ -96,7 +96,7 @@ def test_a_piece_of_a_hallway_is_one_however_short():
     for area, clearance, other_end, label in (
         (7.2, 0.75, door, RegionClass.ROOM),
         (7.2, 0.75, junction, RegionClass.HALLWAY),
-        (40.0, 2.2, junction, RegionClass.ROOM),
+        (40.0, 1.95, junction, RegionClass.ROOM),
     ):
         found, _ = region_class(area, clearance, [door, other_end], RegionConfig())
         assert found is label
