@@ -107,8 +107,11 @@ def solve(
 
     counts.update(tracks=len(association.tracks))
     solution = Solution(graph, values, tracks, frames, poses, len(keyframes), counts)
+    if calibrate or not config.factor_graph.plane_sights:
+        # A leaf lies a few centimetres behind its frame: the camera would be moved by as much
+        return solution
     # Where beams ended on landmarks tells their planes
-    return _with_planes(solution, scans) if config.factor_graph.plane_sights else solution
+    return _with_planes(solution, scans)
 
 
 def _remounted(
