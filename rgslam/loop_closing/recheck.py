@@ -9,6 +9,7 @@ better known; a patch that then lies where the old scans saw free space was join
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from rgslam.config import LoopClosingConfig
 from rgslam.geometry import between
 from rgslam.loop_closing.search import LoopCandidate, MapView
 from rgslam.scan_matching import SURFACE, agreement, thinned
+
+#: Most of the work is in loops that do not hold Python's lock.
+_THREADS = 2
 
 
 def contradicted(
@@ -28,7 +32,9 @@ def contradicted(
         view: the final map.
         config: lengths of patch and chunk, and how many of the judged points must agree.
     """
-    return [loop for loop in loops if _disagrees(loop, view, config)]
+    with ThreadPoolExecutor(_THREADS, "recheck") as pool:
+        wrong = pool.map(lambda loop: _disagrees(loop, view, config), loops)
+        return [loop for loop, disagrees in zip(loops, wrong, strict=True) if disagrees]
 
 
 def _disagrees(loop: LoopCandidate, view: MapView, config: LoopClosingConfig) -> bool:
