@@ -47,7 +47,7 @@ class Grid:
 
 
 def sheets_of(pieces: list[Piece]) -> Sheets:
-    """Put pieces of the same plane and direction together that touch, one beside the other."""
+    """Put pieces of the same plane and direction together that touch."""
     planes = defaultdict(list)
     for i, piece in enumerate(pieces):
         normal = np.cross(piece.across, piece.up)
@@ -69,17 +69,21 @@ def sheets_of(pieces: list[Piece]) -> Sheets:
 
 
 def _beside(members: list[int], pieces: list[Piece]) -> list[list[int]]:
-    """Pieces of one plane in groups whose spans along `across` touch."""
-    across = pieces[members[0]].across
-    start = {i: float(across @ pieces[i].corner) for i in members}
-    groups: list[list[int]] = []
-    reach = -np.inf
-    for i in sorted(members, key=lambda i: start[i]):
-        if start[i] > reach + _TOUCH:
-            groups.append([])
-        groups[-1].append(i)
-        reach = max(reach, start[i] + float(pieces[i].size[0]))
-    return groups
+    """Pieces of one plane in groups whose bounding boxes touch."""
+    axis = np.stack([pieces[members[0]].across, pieces[members[0]].up])
+    groups: list[tuple[FloatArray, FloatArray, list[int]]] = []  # low and high corner, members
+    for i in members:
+        low = axis @ pieces[i].corner
+        high, group = low + pieces[i].size, [i]
+        apart = []
+        for other in groups:
+            if (other[0] <= high + _TOUCH).all() and (low <= other[1] + _TOUCH).all():
+                low, high = np.minimum(low, other[0]), np.maximum(high, other[1])
+                group = other[2] + group
+            else:
+                apart.append(other)
+        groups = [*apart, (low, high, group)]
+    return [group for _, _, group in groups]
 
 
 def grid_on(sheets: Sheets, cell: float) -> Grid:

@@ -24,10 +24,10 @@ from rgslam.simulation.world import World
 from rgslam.types import FloatArray, GreyImage, IntArray
 
 _CHUNK = 1 << 17  # rays per call of the ray caster: some 10 MB
-#: A pixel is looked at closely when it differs from a neighbour by more than this, grey levels: on
-#: another surface (an edge that is fainter drowns in the noise of any camera), and on the same one
-#: (its finer texture has faded out already).
-_EDGE, _MARK = 2.5, 10.0
+#: A pixel is looked at closely where another surface begins, however alike (a narrower one may lie
+#: between them), and where it differs from a neighbour on the same surface by more than this, grey
+#: levels: finer texture has faded out already.
+_MARK = 10.0
 #: The only ray through a pixel.
 _CENTRE = np.zeros((1, 2))
 #: The exposure brings the middle tone to this level, as a camera's meter does.
@@ -170,12 +170,12 @@ def _as_paint(pieces: list[Piece], scene: RayScene, world: World) -> Paint:
 
 
 def _changing(image: Levels, pieces: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """Pixels (height, width) that differ from one of their eight neighbours."""
+    """Pixels (height, width) that have another surface beside them, or a sharp mark."""
     import cv2
 
     kernel = np.ones((3, 3), np.uint8)
     change, other = (cv2.dilate(a, kernel) - cv2.erode(a, kernel) for a in (image, pieces))
-    return (change > _MARK) | ((change > _EDGE) & (other > 0.0))
+    return (change > _MARK) | (other > 0.0)
 
 
 def _develop(levels: Levels, sensor: StereoSensor, rng: np.random.Generator) -> GreyImage:
