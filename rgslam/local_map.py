@@ -18,6 +18,7 @@ from rgslam.geometry import between, compose
 from rgslam.scan_matching import (
     SURFACE,
     BeamCorrelation,
+    IncidenceNoise,
     Registration,
     ScanPoints,
     ScanStore,
@@ -27,6 +28,7 @@ from rgslam.scan_matching import (
     correlate,
     gate_schedule,
     line_residuals,
+    noise_shape,
     register,
     solve,
     thinned,
@@ -78,6 +80,7 @@ class LocalMatch:
 
     wTb: FloatArray  # (3,)
     registration: Registration | None  # None: not trusted
+    shape: Callable[[], FloatArray]  # (3, 3), how its gradient scatters, see `noise_shape`
     variance_factor: float  # of a scan's error, relative to independent beams of sigma
     inliers: float  # share of the surface points that found a partner
     trusted: bool  # False: too few points agree, wTb is the prediction
@@ -88,12 +91,12 @@ class LocalMatch:
         """(3, 3), of the laser alone against the newest keyframes as a whole, at wTb."""
         if self.registration is None:
             return np.zeros((3, 3))
-        return self.registration.information / self.variance_factor
+        return self.registration.information(self.shape()) / self.variance_factor
 
     @classmethod
     def predicted(cls, wTb: FloatArray, inliers: float, trusted: bool) -> LocalMatch:
         """A scan that is placed without the laser."""
-        return cls(wTb, None, 1.0, inliers, trusted, 1.0)
+        return cls(wTb, None, lambda: np.eye(3), 1.0, inliers, trusted, 1.0)
 
 
 class LocalMap:
@@ -105,6 +108,7 @@ class LocalMap:
         self._surfels: SurfelMap | None = None
         self._residuals: deque[float] = deque(maxlen=_NOISE_MATCHES)
         self._correlation = BeamCorrelation()
+        self.incidence = IncidenceNoise()
         self._scatters: deque[float] = deque(maxlen=_NOISE_MATCHES)
         self._scatter = 1.0  # variance that distances to lines show, relative to sigma^2
         self._inliers: deque[float] = deque(maxlen=_NOISE_MATCHES)
@@ -157,17 +161,23 @@ class LocalMap:
         self._scatters.append(best.scatter * self.sigma**2)
         self._inliers.append(best.inliers)
         doubt = _doubt(between(prediction, best.wTb), odometry.covariance)
-        return LocalMatch(best.wTb, best, self.variance_factor, best.inliers, True, doubt)
+        bTl, shares = self._store.geometry.bTl, self.incidence.shares
+
+        def shape() -> FloatArray:
+            return noise_shape(scan, bTl, shares)
+
+        return LocalMatch(best.wTb, best, shape, self.variance_factor, best.inliers, True, doubt)
 
     def learn(self, scan: ScanPoints, wTb: FloatArray) -> None:
         """Take a scan that becomes a keyframe as a sample of how beams err."""
-        if self._surfels is not None:
-            self._correlation.add(
-                line_residuals(
-                    wTb, scan.points, scan.normals, scan.classes, self._surfels.surfels,
-                    float(self._gates[-1]),
-                )
-            )  # fmt: skip
+        if self._surfels is None:
+            return
+        residuals = line_residuals(
+            wTb, scan.points, scan.normals, scan.classes, self._surfels.surfels,
+            float(self._gates[-1]),
+        )  # fmt: skip
+        self._correlation.add(residuals)
+        self.incidence.add(residuals, scan, self._store.geometry.bTl, self.sigma)
 
     def farthest_in_sight(self, scan: ScanPoints, poses: FloatArray) -> int | None:
         """Number of the oldest keyframe here that still shows most of what the newest one does.

@@ -53,6 +53,10 @@ if TYPE_CHECKING:  # loaded when there are images: most runs have none
 _STANDING = np.diag([0.01**2, 0.01**2, 0.005**2])
 #: Information of what no wall holds: 10 m and 10 rad.
 _OPEN = np.diag([1e-2, 1e-2, 1e-2])
+#: Variance of a relative pose of neighbours, relative to that of one match. Both would be 2 if they
+#: were matched with the same map; but the one was part of the other's. Where every scan is matched
+#: with the mean of twelve before it, the nearer the more in sight of it, 1.7 is left.
+_BOTH_ENDS = 1.7
 #: Poses are settled whenever the map has grown by this part of itself.
 _SETTLE_SHARE = 4
 #: While the run goes on, poses need not be better than the next loop makes them.
@@ -251,7 +255,7 @@ class Mapper:
                 self._track.keyframe[-1],
                 self._track.kTb[-1],
                 self._since_keyframe,
-                lambda: match.information / 2.0,  # the keyframe errs as much as the scan
+                lambda: match.information / _BOTH_ENDS,
                 doubted,
             )
         )
@@ -285,7 +289,7 @@ class Mapper:
         if oTb is None or self._keyframe_oTb is None or not match.trusted:
             return
         laser = between(self._poses[-2], self._poses[-1])
-        covariance = np.linalg.inv(match.information / 2.0 + _OPEN)
+        covariance = np.linalg.inv(match.information / _BOTH_ENDS + _OPEN)
         self._wheels.learn(
             between(self._keyframe_oTb, oTb), laser, np.asarray(covariance, np.float64)
         )
@@ -298,8 +302,7 @@ class Mapper:
         average does. The error of the newest keyframe is in both, a correlation of one half: so
         together they say 2 / (1 + 1/2) times as much as one, two thirds each.
         """
-        # Both keyframes of an edge err as scans do
-        information = match.information / 2.0
+        information = match.information / _BOTH_ENDS
         far = self._local_map.farthest_in_sight(points, self._poses) if match.trusted else None
         shared = information if far is None else information * (2.0 / 3.0)
         # Laser and wheels since the last keyframe are independent evidence: both count
@@ -338,6 +341,7 @@ class Mapper:
             np.fromiter(self._keyframe_path, float, len(self._keyframe_path)),
             self._local_map.sigma,
             self._local_map.variance_factor,
+            self._local_map.incidence.shares,
         )
 
     def _settle(self, loops: list[LoopCandidate]) -> None:

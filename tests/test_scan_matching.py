@@ -297,7 +297,7 @@ def test_errors_are_as_large_as_the_information_says() -> None:
         scan = seen_from(truth, NOISE, seed)
         match = register(scan, truth, surfels, NOISE, gate_schedule(0.1, NOISE))
         error = between(truth, match.wTb)
-        squared.append(error @ match.information @ error)
+        squared.append(error @ match.information(np.eye(3)) @ error)
     # 120 samples of chi-square with 3 degrees of freedom: mean 3, 99.7 % below 3.7. Range noise is
     # along the beam, which crosses a wall at 45 degrees with half the variance: 1.5 at least.
     assert 1.3 < np.mean(squared) < 3.7
@@ -312,7 +312,7 @@ def test_a_hallway_stays_open_along_its_axis() -> None:
     points = scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
     surfels = surfels_of(points, np.zeros(3))
     match = register(points, np.zeros(3), surfels, SIGMA, gate_schedule(0.1, SIGMA))
-    along, across = match.information[0, 0], match.information[1, 1]
+    along, across = match.information(np.eye(3))[0, 0], match.information(np.eye(3))[1, 1]
     # Noise of the normals alone would claim a thousandth of the information across
     assert along < 2e-4 * across
 

@@ -18,11 +18,14 @@ from rgslam.config import LoopClosingConfig
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.scan_matching import (
     SURFACE,
+    Registration,
+    ScanPoints,
     ScanStore,
     agreement,
     build_surfel_map,
     correlate,
     gate_schedule,
+    noise_shape,
     register,
     thinned,
 )
@@ -79,6 +82,7 @@ class MapView:
     path: FloatArray  # (K,), m travelled at each keyframe
     sigma: float  # m, noise of a point across its line
     variance_factor: float  # of a scan's error, relative to independent beams of sigma
+    noise_shares: tuple[float, float] = (1.0, 0.0)  # of walls and of ranges, see `IncidenceNoise`
 
 
 def old_chunks(
@@ -165,11 +169,12 @@ def propose_loop(
         rival=(max(1.0, 0.3 * window), config.max_rival) if window > _WIDE else None,
     )
     # Refine the newest scan among the old ones, all in the frame of the anchor
+    scan = view.store.scan(new)
     fine = register(
-        view.store.scan(new), match.wTb, old, view.sigma,
+        scan, match.wTb, old, view.sigma,
         gate_schedule(4.0 * config.resolution, view.sigma),
     )  # fmt: skip
-    loop_covariance = _loop_covariance(fine.information, view)
+    loop_covariance = _loop_covariance(fine, scan, view)
     iTj = open_axes_as_predicted(
         fine.wTb, loop_covariance, predicted, covariance, config.min_window
     )
@@ -210,9 +215,10 @@ def open_axes_as_predicted(
     return compose(iTj, gain @ between(iTj, predicted))
 
 
-def _loop_covariance(information: FloatArray, view: MapView) -> FloatArray:
+def _loop_covariance(fine: Registration, scan: ScanPoints, view: MapView) -> FloatArray:
     """Covariance of a registered loop: the old keyframes err as the new one does."""
     vague = np.diag([1e-2, 1e-2, 1e-2])  # 10 m, 10 rad: what no wall holds is left open
+    information = fine.information(noise_shape(scan, view.store.geometry.bTl, view.noise_shares))
     covariance = np.linalg.inv(information / (2.0 * view.variance_factor) + vague)
     return np.asarray(covariance, np.float64)
 

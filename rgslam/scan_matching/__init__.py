@@ -10,7 +10,7 @@ with a covariance that comes from the match itself.
 from rgslam.scan_matching.agreement import Agreement, agreement
 from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
 from rgslam.scan_matching.moving import PLACE_TOLERANCE, SeenScan, moving_points
-from rgslam.scan_matching.noise import BeamCorrelation
+from rgslam.scan_matching.noise import BeamCorrelation, IncidenceNoise, noise_shape
 from rgslam.scan_matching.registration import (
     Registration,
     gate_schedule,
@@ -40,6 +40,7 @@ __all__ = [
     "Agreement",
     "BeamCorrelation",
     "CorrelativeMatch",
+    "IncidenceNoise",
     "LaserGeometry",
     "Registration",
     "ScanPoints",
@@ -53,6 +54,7 @@ __all__ = [
     "gate_schedule",
     "line_residuals",
     "moving_points",
+    "noise_shape",
     "register",
     "scan_points",
     "solve",

@@ -1,17 +1,25 @@
 # SPDX-FileCopyrightText: 2026 The rgslam authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How many independent measurements a scan is worth, learnt from the recording itself.
+"""How beams err and how many independent measurements a scan is worth, learnt from the recording.
 
 Neighbouring beams err alike: they hit the same uneven wall, through the same quantised range. The
 variance of a mean of such residuals is larger than that of independent ones by the sum of their
 autocorrelation (Geyer, *Practical Markov chain Monte Carlo*, 1992, for where to end the sum).
+
+The noise of a range moves a point along its beam: where the beam meets the wall aslant, less of it
+is across the wall. The unevenness of the wall is across it wherever the beam comes from. So points
+far down a hallway, which tell the heading, know more than those beside the robot.
 """
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
+from rgslam.scan_matching.scan_points import SURFACE, ScanPoints
 from rgslam.types import FloatArray
 
 #: Beams apart up to which residuals are compared: a wall panel or a door at 3 m in steps of 0.5
@@ -49,6 +57,80 @@ class BeamCorrelation:
         correlation = products[1:] / products[0]
         ends = np.flatnonzero(correlation <= 0.0)
         return 1.0 + 2.0 * float(correlation[: ends[0] if len(ends) else None].sum())
+
+
+#: Keyframes that the shares of wall and range are learnt from, and points that tell nothing yet.
+_KEYFRAMES, _FEW_POINTS = 200, 2000
+#: The robust weights of the matcher fade at so many sigma.
+_FADING = 3.0
+
+
+class IncidenceNoise:
+    """Tells the noise of walls from that of ranges by the angle at which beams met the walls."""
+
+    def __init__(self) -> None:
+        self._sums: deque[FloatArray] = deque(maxlen=_KEYFRAMES)
+        self.shares = (1.0, 0.0)  # variance of walls and of ranges, of their sum over all points
+
+    def add(self, residuals: FloatArray, scan: ScanPoints, bTl: FloatArray, sigma: float) -> None:
+        """Take the residuals (n,) of a scan, m; NaN where there is none."""
+        known = np.isfinite(residuals)
+        e = residuals[known]
+        squares = incidence_squares(scan.points, scan.normals, scan.classes, bTl)[known]
+        influence = (e / (1.0 + (e / (_FADING * sigma)) ** 2) ** 2) ** 2
+        self._sums.append(
+            np.array(
+                [len(e), squares.sum(), (squares**2).sum(), influence.sum(), influence @ squares]
+            )
+        )
+        n, c, cc, v, vc = np.sum(self._sums, axis=0).tolist()
+        if n < _FEW_POINTS or v <= 0.0:
+            return
+        # Least squares of v = wall + range c with none below zero
+        determinant = n * cc - c * c
+        of_range = (n * vc - c * v) / determinant if determinant > 0.0 else 0.0
+        of_range = min(max(of_range, 0.0), vc / cc)
+        mean = v / n
+        self.shares = (max(v - of_range * c, 0.0) / n / mean, of_range / mean)
+
+
+@njit(cache=True, nogil=True)
+def incidence_squares(
+    points: FloatArray, normals: FloatArray, classes: npt.NDArray[np.uint8], bTl: FloatArray
+) -> FloatArray:
+    """Squared cosine (n,) between each beam and the normal where it ended; 0 without a normal."""
+    squares = np.zeros(len(points))
+    for i in range(len(points)):
+        if classes[i] == SURFACE:
+            dx, dy = points[i, 0] - bTl[0], points[i, 1] - bTl[1]
+            along = dx * normals[i, 0] + dy * normals[i, 1]
+            squares[i] = along * along / max(dx * dx + dy * dy, 1e-12)
+    return squares
+
+
+def noise_shape(scan: ScanPoints, bTl: FloatArray, shares: tuple[float, float]) -> FloatArray:
+    """How the gradient of a match scatters (3, 3), relative to beams that all err alike.
+
+    The identity where walls and beams meet at one angle; smaller along axes that beams tell which
+    graze their walls. In the basis of the Cholesky factor of the normal matrix.
+
+    Args:
+        scan: its points.
+        bTl: (3,), the laser on the robot.
+        shares: of walls and of ranges, see `IncidenceNoise`.
+    """
+    squares = incidence_squares(scan.points, scan.normals, scan.classes, bTl)
+    surface = scan.classes == SURFACE
+    (x, y), (nx, ny) = scan.points[surface].T, scan.normals[surface].T
+    J = np.column_stack([nx, ny, x * ny - y * nx])
+    factors = shares[0] + shares[1] * squares[surface]
+    alike, real = J.T @ J + _LITTLE, J.T @ (factors[:, None] * J) + _LITTLE
+    inverse = np.linalg.inv(np.linalg.cholesky(alike))
+    return np.asarray(inverse @ real @ inverse.T, np.float64)
+
+
+#: A thousandth of a beam: keeps axes that no beam tells as they are.
+_LITTLE = 1e-3 * np.eye(3)
 
 
 @njit(cache=True, nogil=True)

@@ -9,7 +9,6 @@ noisy normals only pretend to know is taken off (errors in variables).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -31,21 +30,23 @@ class Registration:
     residual: float  # m, robust RMS distance to the lines; inf = too few partners
     scatter: float  # variance that the distances show, relative to sigma^2
 
-    @cached_property
-    def information(self) -> FloatArray:
+    def information(self, shape: FloatArray) -> FloatArray:
         """(3, 3), of the match alone, in the tangent space at wTb: x, y, theta.
 
         Noisy normals (errors in variables) pretend to know the way along a wall. Without them the
-        normal matrix H would be H - N. The gradient scatters as H says, so the errors of the
-        solution have the covariance (H - N)^-1 H (H - N)^-1. Where N exceeds what an axis is known
-        by, as along a bare hallway, the axis is not known at all.
+        normal matrix H = L L^T would be H - N. The gradient scatters as L S L^T, so the errors of
+        the solution have the covariance (H - N)^-1 L S L^T (H - N)^-1. Where N exceeds what an axis
+        is known by, as along a bare hallway, the axis is not known at all.
+
+        Args:
+            shape: (3, 3), S, see `noise_shape`.
         """
         root = np.linalg.cholesky(self.normal_matrix + _NOTHING)
         inverse = np.linalg.inv(root)
-        # H = L L^T, so what is left of an axis is a share of 1
+        # Of an axis is left a share of 1
         values, vectors = np.linalg.eigh(inverse @ self.normal_noise @ inverse.T)
-        left = root @ (vectors * np.maximum(1.0 - values, 0.0))
-        return np.asarray(left @ left.T, np.float64)
+        left = root @ (vectors * np.maximum(1.0 - values, 0.0)) @ vectors.T
+        return np.asarray(left @ np.linalg.inv(shape) @ left.T, np.float64)
 
 
 def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArray:
