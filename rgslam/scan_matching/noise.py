@@ -61,8 +61,8 @@ class BeamCorrelation:
 
 #: Keyframes that the shares of wall and range are learnt from, and points that tell nothing yet.
 _KEYFRAMES, _FEW_POINTS = 200, 2000
-#: The robust weights of the matcher fade at so many sigma.
-_FADING = 3.0
+#: Sigmas off from which on a point is taken to lie on something else.
+_ELSEWHERE = 3.0
 
 
 class IncidenceNoise:
@@ -74,13 +74,12 @@ class IncidenceNoise:
 
     def add(self, residuals: FloatArray, scan: ScanPoints, bTl: FloatArray, sigma: float) -> None:
         """Take the residuals (n,) of a scan, m; NaN where there is none."""
-        known = np.isfinite(residuals)
-        e = residuals[known]
+        known = np.abs(residuals) < _ELSEWHERE * sigma
         squares = incidence_squares(scan.points, scan.normals, scan.classes, bTl)[known]
-        influence = (e / (1.0 + (e / (_FADING * sigma)) ** 2) ** 2) ** 2
+        errors = residuals[known] ** 2
         self._sums.append(
             np.array(
-                [len(e), squares.sum(), (squares**2).sum(), influence.sum(), influence @ squares]
+                [len(errors), squares.sum(), (squares**2).sum(), errors.sum(), errors @ squares]
             )
         )
         n, c, cc, v, vc = np.sum(self._sums, axis=0).tolist()
