@@ -318,3 +318,19 @@ def test_where_the_robot_was_is_a_region_behind_any_glass():
     assert len(segment_grid(grid, of_run=True).regions) == 0  # a fan of rays, as far as one can see
     found = segment_grid(grid, of_run=True, visited=np.vstack([path, [[-50.0, 0.0]]]))
     assert {label_at(found, grid, point) for point in path} == {1}
+
+
+def test_a_hallway_ends_where_the_space_widens_not_at_a_door_before():
+    """1.85 m wide up to a door beside the lobby, 1.9 m from there: the shorter line is there."""
+    image = np.zeros((180, 340), np.uint8)
+    image[90:128, 20:180] = 255  # hallway
+    image[40:170, 180:320] = 255  # lobby
+    image[10:86, 20:170] = 255  # room
+    image[84:92, 140:160] = 255  # its door
+    image[90, 20:140] = 0
+    image[66:86, 137:140] = 0  # its leaf, open: a wall that the shorter line continues
+    found = segment_grid(image, 0.05)
+    assert len(found.regions) == 3
+    mouth = max(found.gateways, key=lambda g: g.width)
+    assert mouth.crossing_point[0] == pytest.approx(180 * 0.05, abs=0.1)
+    assert mouth.width == pytest.approx(1.9, abs=0.1)

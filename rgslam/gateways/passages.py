@@ -200,9 +200,13 @@ def _select(
         else:
             a = 2.0 * _clearance_beyond(free, clearance, x, y, nx, ny, length) / length
             b = 2.0 * _clearance_beyond(free, clearance, x, y, -nx, -ny, length) / length
-            good = (
-                a >= widening and b < _HALLWAY_TOLERANCE and depth_b >= hallway_length * length
-            ) or (b >= widening and a < _HALLWAY_TOLERANCE and depth_a >= hallway_length * length)
+            # It ends here, not farther on: the space is wider right behind the line
+            opens_a, opens_b = length <= narrowing * width_a, length <= narrowing * width_b
+            into_a = opens_a and a >= widening and b < _HALLWAY_TOLERANCE
+            into_b = opens_b and b >= widening and a < _HALLWAY_TOLERANCE
+            good = (into_a and depth_b >= hallway_length * length) or (
+                into_b and depth_a >= hallway_length * length
+            )
         if good:
             draw_wall(free, x0, y0, x1, y1)
             accepted.append(i)
