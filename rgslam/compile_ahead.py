@@ -18,12 +18,9 @@ from rgslam.scan_matching import (
     LaserGeometry,
     ScanPoints,
     ScanStore,
-    SurfelMap,
     Surfels,
     agreement,
-    gate_schedule,
     line_residuals,
-    register,
 )
 from rgslam.types import EdgeKind, LaserScan, OccupancyGrid, PoseEdge
 
@@ -43,12 +40,11 @@ def compile_later_stages() -> None:
 
 
 def _match_once() -> None:
-    """What matching needs from the second scan on; the first takes other loops, and as long."""
+    """What matching needs from the second keyframe on; before, the run itself is as quick."""
     normals, edges = np.zeros((1, 2)), np.zeros(1, np.bool_)
     nearest = np.zeros((1, 1), np.int32)
     surfels = Surfels(np.zeros((1, 2)), normals, np.zeros(1), edges, nearest, _CELL, np.zeros(2))
     scan = ScanPoints(np.zeros((1, 2)), normals, np.zeros(1), np.zeros(1, np.uint8))
-    register(scan, np.zeros(3), SurfelMap(surfels), 0.01, gate_schedule(0.1, 0.01))
     line_residuals(np.zeros(3), scan.points, scan.normals, scan.classes, surfels, 0.1)
     store = ScanStore.empty(LaserGeometry(0.0, 0.1, 1, np.zeros(3)), 1)
     store.append(scan)
