@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rgslam.scan_matching.scan_points import ScanStore
-from rgslam.types import FloatArray, IntArray, Mask
+from rgslam.types import FloatArray, IntArray
 
 #: What one reference scan says of a place: it could not see it, it looked through it. Anything else
 #: is the number of a beam that ended there.
@@ -74,37 +74,6 @@ def look(
         if vx * vx + vy * vy < (rho + 2.0 * tolerance) ** 2:
             through = False
     return THROUGH if through and seen >= 2 else UNSEEN
-
-
-@njit(cache=True, nogil=True)
-def look_at_all(
-    pose: FloatArray,
-    points: FloatArray,
-    asked: Mask,
-    ref_points: FloatArray,
-    ref_classes: npt.NDArray[np.uint8],
-    polar: FloatArray,
-    tolerance: float,
-) -> IntArray:
-    """What one scan (the reference) says of every point (n,) of another one; see `look`.
-
-    Args:
-        pose: (3,), of the other one in the frame of the reference.
-        points: (n, 2), of the other one.
-        asked: (n,), which of them matter; of the others nothing is said (UNSEEN).
-        ref_points: (n, 2), of the reference.
-        ref_classes: (n,), of the reference.
-        polar: of the scanner, see `LaserGeometry.polar`.
-        tolerance: m, distance at which a point is still on a surface.
-    """
-    found = np.full(len(points), UNSEEN)
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    for i in range(len(points)):
-        if asked[i]:
-            x = pose[0] + c * points[i, 0] - s * points[i, 1]
-            y = pose[1] + s * points[i, 0] + c * points[i, 1]
-            found[i] = look(x, y, ref_points, ref_classes, polar, tolerance)
-    return found
 
 
 @njit(cache=True, nogil=True)

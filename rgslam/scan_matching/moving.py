@@ -17,10 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rgslam.geometry import inverse, transform_points
-from rgslam.scan_matching.agreement import THROUGH, look_at_all
+from rgslam.scan_matching.agreement import THROUGH, look
 from rgslam.scan_matching.scan_points import SURFACE, LaserGeometry, ScanPoints
-from rgslam.types import FloatArray, IntArray, Mask
+from rgslam.types import FloatArray, Mask
 
 #: m by which places must differ: the error of odometry over a metre and the noise of both scans.
 PLACE_TOLERANCE = 0.1
@@ -56,67 +55,98 @@ def moving_points(
         poses: (3,) each, of the newest scan in the frame of the earlier one.
         geometry: of the scanner.
     """
-    asked = _located(scan, geometry)
-    contradicted, times = np.zeros(len(asked), bool), np.zeros(len(asked), np.int64)
-    for old, oTn in zip(reversed(earlier), reversed(poses), strict=True):
-        found = _look(oTn, scan, asked, old.points, geometry)
-        times += found >= 0
-        contradicted |= found == THROUGH
-        asked &= (times < _STANDING) & ((found < 0) | old.moving[np.maximum(found, 0)])
-        if not _in_runs(asked).any():
-            return np.zeros(len(asked), bool)  # all of it stands, which is the rule
-    left: list[FloatArray] = []
-    for old, oTn in zip(earlier, poses, strict=True):
-        nTo = inverse(oTn)
-        through = _look(nTo, old.points, _located(old.points, geometry), scan, geometry) == THROUGH
-        left.append(transform_points(nTo, old.points.points[_in_runs(through) | old.moving]))
-    return _in_runs(asked & (contradicted | _near(scan.points, asked, np.concatenate(left))))
-
-
-def _located(scan: ScanPoints, geometry: LaserGeometry) -> Mask:
-    """Points (n,) on surfaces or edges near enough for neighbouring beams to meet in one place."""
-    farthest = PLACE_TOLERANCE / abs(geometry.angle_step)
-    return _surfaces_within(farthest, scan.points, scan.classes, geometry.bTl)
+    return _moving(
+        scan.points,
+        scan.classes,
+        np.array([old.points.points for old in earlier]),
+        np.array([old.points.classes for old in earlier]),
+        np.array([old.moving for old in earlier]),
+        np.array(poses),
+        geometry.polar,
+    )
 
 
 @njit(cache=True, nogil=True)
-def _surfaces_within(
-    farthest: float, points: FloatArray, classes: npt.NDArray[np.uint8], bTl: FloatArray
+def _moving(
+    points: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    old_points: FloatArray,
+    old_classes: npt.NDArray[np.uint8],
+    old_moving: Mask,
+    poses: FloatArray,
+    polar: FloatArray,
 ) -> Mask:
+    """The same on arrays: old_points (k, n, 2), old_classes and old_moving (k, n), poses (k, 3)."""
+    asked = _located(points, classes, polar)
+    contradicted = np.zeros(len(points), np.bool_)
+    times = np.zeros(len(points), np.int64)
+    for m in range(len(poses) - 1, -1, -1):
+        c, s = np.cos(poses[m, 2]), np.sin(poses[m, 2])
+        for i in range(len(points)):
+            if not asked[i]:
+                continue
+            x = poses[m, 0] + c * points[i, 0] - s * points[i, 1]
+            y = poses[m, 1] + s * points[i, 0] + c * points[i, 1]
+            found = look(x, y, old_points[m], old_classes[m], polar, PLACE_TOLERANCE)
+            if found >= 0:
+                times[i] += 1
+                asked[i] = times[i] < _STANDING and old_moving[m, found]
+            elif found == THROUGH:
+                contradicted[i] = True
+        if not _in_runs(asked).any():
+            return np.zeros(len(points), np.bool_)  # all of it stands, which is the rule
+    for m in range(len(poses)):
+        left = _left(points, classes, old_points[m], old_classes[m], old_moving[m], poses[m], polar)
+        for i in range(len(points)):
+            if asked[i] and not contradicted[i]:
+                contradicted[i] = _near(points[i], left)
+    return _in_runs(asked & contradicted)
+
+
+@njit(cache=True, nogil=True)
+def _left(
+    points: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    old_points: FloatArray,
+    old_classes: npt.NDArray[np.uint8],
+    old_moving: Mask,
+    pose: FloatArray,
+    polar: FloatArray,
+) -> FloatArray:
+    """Places (k, 2), seen from now, that something has left since an earlier scan."""
+    asked = _located(old_points, old_classes, polar)
+    places = np.empty(old_points.shape)
+    through = np.zeros(len(old_points), np.bool_)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for i in range(len(old_points)):
+        dx, dy = old_points[i, 0] - pose[0], old_points[i, 1] - pose[1]
+        places[i, 0], places[i, 1] = c * dx + s * dy, -s * dx + c * dy
+        if asked[i]:
+            x, y = places[i]
+            through[i] = look(x, y, points, classes, polar, PLACE_TOLERANCE) == THROUGH
+    return places[_in_runs(through) | old_moving]
+
+
+@njit(cache=True, nogil=True)
+def _located(points: FloatArray, classes: npt.NDArray[np.uint8], polar: FloatArray) -> Mask:
+    """Points (n,) on surfaces or edges near enough for neighbouring beams to meet in one place."""
+    farthest = PLACE_TOLERANCE / abs(polar[1])
     found = np.zeros(len(points), np.bool_)
     for i in range(len(points)):
         if classes[i] >= SURFACE:
-            dx, dy = points[i, 0] - bTl[0], points[i, 1] - bTl[1]
+            dx, dy = points[i, 0] - polar[3], points[i, 1] - polar[4]
             found[i] = dx * dx + dy * dy <= farthest * farthest
     return found
 
 
-def _look(
-    pose: FloatArray,
-    points: ScanPoints,
-    asked: Mask,
-    reference: ScanPoints,
-    geometry: LaserGeometry,
-) -> IntArray:
-    return look_at_all(
-        pose, points.points, asked, reference.points, reference.classes, geometry.polar,
-        PLACE_TOLERANCE,
-    )  # fmt: skip
-
-
 @njit(cache=True, nogil=True)
-def _near(points: FloatArray, asked: Mask, traces: FloatArray) -> Mask:
-    """Which of the points (n, 2) that are asked for lie within a stride of a trace (m, 2)."""
-    near = np.zeros(len(points), np.bool_)
-    for i in range(len(points)):
-        if not asked[i]:
-            continue
-        for k in range(len(traces)):
-            dx, dy = points[i, 0] - traces[k, 0], points[i, 1] - traces[k, 1]
-            if dx * dx + dy * dy < _STRIDE * _STRIDE:
-                near[i] = True
-                break
-    return near
+def _near(point: FloatArray, places: FloatArray) -> bool:
+    """Whether a point lies within a stride of one of the places (m, 2)."""
+    for k in range(len(places)):
+        dx, dy = point[0] - places[k, 0], point[1] - places[k, 1]
+        if dx * dx + dy * dy < _STRIDE * _STRIDE:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)
