@@ -18,7 +18,7 @@ from rgslam.errors import MapError
 from rgslam.gateways.passages import Passages
 from rgslam.geometry import inverse, transform_points
 from rgslam.outlines import signed_area, trace_outlines
-from rgslam.regions.description import region_class
+from rgslam.regions.description import inner_clearances, region_class
 from rgslam.regions.free_space import open_screens
 from rgslam.types import GatewayClass, OccupancyGrid, RegionClass
 
@@ -100,6 +100,19 @@ def test_a_piece_of_a_hallway_is_one_however_short():
     ):
         found, _ = region_class(area, clearance, [door, other_end], RegionConfig())
         assert found is label
+
+
+def test_furniture_in_the_middle_makes_no_room_narrow():
+    room = np.zeros((120, 120), np.int32)
+    room[10:110, 10:110] = 1
+    furnished = room.copy()
+    furnished[50:62, 54:66] = 0
+    empty = inner_clearances(room, 1, 0.05, 4.0)
+    assert inner_clearances(furnished, 1, 0.05, 4.0) == pytest.approx(empty)
+    assert inner_clearances(furnished, 1, 0.05, 0.5) < 0.9 * empty  # what is longer divides space
+    core = room.copy()
+    core[40:80, 40:80] = 0  # a hallway around a core: a fifth of what is inside
+    assert inner_clearances(core, 1, 0.05, 4.0) < 0.7 * empty
 
 
 @settings(max_examples=12, deadline=None)

@@ -36,7 +36,9 @@ def split_hallways(
         config: what a hallway is.
     """
     boxes = region_boxes(partition.labels, partition.count)
-    clearances = inner_clearances(partition.labels, partition.count, resolution)
+    clearances = inner_clearances(
+        partition.labels, partition.count, resolution, config.regions.largest_furniture
+    )
     junctions: list[Junction] = []
     for i, (r0, c0, r1, c1) in enumerate(boxes):
         inside = partition.labels[r0:r1, c0:c1] == i + 1

@@ -162,7 +162,9 @@ def _regions(
     grid: OccupancyGrid,
     config: Config,
 ) -> tuple[Region, ...]:
-    clearances = inner_clearances(whole, partition.count, grid.resolution)
+    clearances = inner_clearances(
+        whole, partition.count, grid.resolution, config.regions.largest_furniture
+    )
     regions = []
     for i, box in enumerate(region_boxes(partition.labels, partition.count)):
         # Two cells of margin: the walls around a region belong to the evidence about it.
