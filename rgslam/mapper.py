@@ -141,6 +141,7 @@ class Mapper:
 
     def _add_scan(self, scan: LaserScan, oTb: FloatArray | None) -> StepResult:
         # Where the robot should be, by odometry or, without it, by the speed it had
+        oTb = self._believed(scan, oTb)
         odometry = self._predict(scan, oTb)
 
         # Align the scan with the newest keyframes (Gutmann & Konolige 1999, local registration)
@@ -169,6 +170,19 @@ class Mapper:
 
     # --- The pieces of a step ------------------------------------------------------------------
 
+    def _believed(self, scan: LaserScan, oTb: FloatArray | None) -> FloatArray | None:
+        """Odometry at a scan (3,), or None where it goes on in another frame than before."""
+        last_oTb = None if self._last is None else self._last[1]
+        if self._last is None or last_oTb is None or oTb is None:
+            return oTb
+        x, y, _ = between(last_oTb, oTb).tolist()
+        if math.hypot(x, y) <= _sight(self._last[0]):
+            return oTb
+        self._track.odometry_jumps.append(scan.record)
+        self._keyframe_oTb = None
+        self._moving.forget()
+        return None
+
     def _predict(self, scan: LaserScan, oTb: FloatArray | None) -> Motion:
         """The motion since the last scan by odometry or, without it, by going on as before."""
         if self._last is None:
@@ -176,12 +190,7 @@ class Mapper:
         last_oTb = self._last[1]
         if oTb is None or last_oTb is None:
             return self._habit(scan)
-        reported = between(last_oTb, oTb)
-        if math.hypot(*reported[:2].tolist()) > _sight(self._last[0]):
-            self._track.odometry_jumps.append(scan.record)
-            self._keyframe_oTb = None
-            return self._habit(scan)
-        motion = self._wheels.corrected(reported)
+        motion = self._wheels.corrected(between(last_oTb, oTb))
         return Motion(motion, self._wheels.covariance(motion) + _STANDING)
 
     def _habit(self, scan: LaserScan) -> Motion:

@@ -117,6 +117,11 @@ class MovingThings:
             wTb = compose(after, between(before, kept.wTb))
             self._kept[k] = replace(kept, wTb=wTb)
 
+    def forget(self) -> None:
+        """Odometry goes on in another frame: nothing is known of the way since earlier scans."""
+        self._kept.clear()
+        self._around = False
+
     def _is_apart(self, oTb: FloatArray) -> bool:
         x, y, turn = between(self._kept[-1].oTb, oTb).tolist()
         return math.hypot(x, y) > _APART or abs(turn) > _TURN_APART

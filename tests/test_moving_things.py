@@ -110,6 +110,17 @@ def test_without_leaves_the_other_beams_as_they_are() -> None:
     assert (left.classes[~moving] == scan.classes[~moving]).all()
 
 
+def test_what_moves_is_forgotten_when_the_odometry_is_set_anew() -> None:
+    moving = MovingThings(WheelNoise(), 0.5)
+    for x in (0.0, 0.4):
+        oTb = np.array([x, 0.0, 0.0])
+        moving.keep(points_at(x, [(x + 1.6, 0.35)]), None, oTb, oTb)
+    now = points_at(0.8, [(2.4, 0.35)]), GEOMETRY, np.array([0.8, 0.0, 0.0]), 0.0
+    assert moving.find(*now) is not None
+    moving.forget()
+    assert moving.find(*now) is None
+
+
 def test_mapper_does_not_follow_who_walks_ahead_of_it() -> None:
     # Wheels err by 1 %; those who walk along hide a fifth of the beams. Bare walls cannot tell
     mapper, way = Mapper(), 15.0
