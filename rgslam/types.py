@@ -258,6 +258,12 @@ class Region:
     completeness: float | None = None  # share of the boundary really seen, 0..1
     label_probability: float = 1.0
 
+    @property
+    def hallway_probability(self) -> float:
+        """Probability that it is a hallway, by what is known of its class."""
+        sure = self.label_probability
+        return sure if self.label is RegionClass.HALLWAY else 1.0 - sure
+
 
 @dataclass(frozen=True, eq=False)
 class Rectangle:

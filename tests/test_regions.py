@@ -19,7 +19,7 @@ from rgslam.gateways.passages import Passages
 from rgslam.geometry import inverse, transform_points
 from rgslam.outlines import signed_area, trace_outlines
 from rgslam.regions.description import inner_clearances, region_class
-from rgslam.regions.free_space import open_screens
+from rgslam.regions.free_space import islands_in_regions, open_screens
 from rgslam.types import GatewayClass, OccupancyGrid, RegionClass
 
 
@@ -103,16 +103,19 @@ def test_a_piece_of_a_hallway_is_one_however_short():
 
 
 def test_furniture_in_the_middle_makes_no_room_narrow():
+    """A table of 0.6 x 0.6 m, in a room of 5 x 5 m."""
     room = np.zeros((120, 120), np.int32)
     room[10:110, 10:110] = 1
+    boxes = np.array([[10, 10, 110, 110]])
     furnished = room.copy()
     furnished[50:62, 54:66] = 0
-    empty = inner_clearances(room, 1, 0.05, 4.0)
-    assert inner_clearances(furnished, 1, 0.05, 4.0) == pytest.approx(empty)
-    assert inner_clearances(furnished, 1, 0.05, 0.5) < 0.9 * empty  # what is longer divides space
+    whole = islands_in_regions(furnished, 0.05, RegionConfig())
+    assert (whole == room).all()
+    empty = inner_clearances(room, boxes, 0.05)
+    assert inner_clearances(furnished, boxes, 0.05) < 0.9 * empty
     core = room.copy()
-    core[40:80, 40:80] = 0  # a hallway around a core: a fifth of what is inside
-    assert inner_clearances(core, 1, 0.05, 4.0) < 0.7 * empty
+    core[40:80, 40:80] = 0  # nobody's arms reach the middle of it: the way goes around
+    assert (islands_in_regions(core, 0.05, RegionConfig()) == core).all()
 
 
 @settings(max_examples=12, deadline=None)

@@ -26,7 +26,6 @@ from rgslam.types import (
     IntArray,
     LaserScan,
     Region,
-    RegionClass,
 )
 
 # Long is a view of so many widths: an arm that is as long as wide begins half a width off. Short is
@@ -134,10 +133,7 @@ def smooth_classes(
         return tuple(gateways)
     wTl = np.array([compose(pose, scan.bTl) for pose, scan in zip(wTb, scans, strict=True)])
     doors = [g.points for g in gateways if g.label is GatewayClass.NARROW_PASSAGE]
-    hallway = {
-        r.id: r.label_probability if r.label is RegionClass.HALLWAY else 1.0 - r.label_probability
-        for r in regions
-    }
+    hallway = {region.id: region.hallway_probability for region in regions}
 
     def smoothed(gateway: Gateway) -> Gateway:
         if gateway.label is GatewayClass.NARROW_PASSAGE:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgslam.config import GatewayConfig, RegionConfig
-from rgslam.gateways.virtual_lines import VirtualLines, ray_length
+from rgslam.gateways.virtual_lines import WALL_NOISE, VirtualLines, ray_length
 from rgslam.outlines import Outlines
 from rgslam.types import FloatArray, Mask
 
@@ -27,8 +27,6 @@ _TIMES, _SHELF = 2.0, 0.3
 # Depths behind the face at which what a line ends on is looked at, m: a door frame stands out by
 # less than the last.
 _BEHIND = (0.1, 0.2, 0.3)
-# Faces of one wall are off their line by no more, m: noise of walls in a good grid, 2 sigma.
-_NOISE = 0.06
 _FAR = 10.0  # m; farther is endless
 
 # Cells by which a wall's thickness differs from place to place in a raster.
@@ -215,6 +213,7 @@ def made_by_furniture(
     limits = thick, longest / resolution, regions.deepest_furniture / resolution
     behind = np.maximum(np.array(_BEHIND) / resolution, 1.0)
     straight = float(np.cos(np.radians(gateways.alignment_deg)))
-    noise, far = max(2.0 * _NOISE / resolution, 2.0), _FAR / resolution
+    # Both faces of one wall are off their line
+    noise, far = max(2.0 * WALL_NOISE / resolution, 2.0), _FAR / resolution
     free = np.ascontiguousarray(free)
     return _are_made(free, lines.ends, lines.extends, straight, limits, behind, noise, far)

@@ -23,6 +23,8 @@ from rgslam.types import FloatArray, IntArray
 
 BoolArray = npt.NDArray[np.bool_]
 
+#: Noise of walls in a good grid: laser noise and pose error, 2 sigma, m.
+WALL_NOISE = 0.06
 # How far a rastered straight wall strays from itself, cells.
 _STAIRCASE = 0.75
 

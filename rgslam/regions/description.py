@@ -12,12 +12,12 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rgslam.config import RegionConfig
 from rgslam.geometry import inverse, transform_points
 from rgslam.line_segments import extract_line_segments, main_axes
 from rgslam.outlines import signed_area, trace_outlines
+from rgslam.regions.free_space import part_around
 from rgslam.types import FloatArray, Gateway, GatewayClass, IntArray, Region, RegionClass
 
 BoolArray = npt.NDArray[np.bool_]
@@ -256,49 +256,20 @@ def describe_region(
     )
 
 
-@njit(cache=True, nogil=True)
-def region_boxes(labels: LabelArray, count: int) -> IntArray:
-    """First row, first column, end row, end column (count, 4) of labels 1..count.
-
-    The end of a label that does not occur is 0.
-    """
-    boxes = np.zeros((count, 4), np.int64)
-    for row in range(labels.shape[0]):
-        for col in range(labels.shape[1]):
-            k = labels[row, col] - 1
-            if k < 0 or k >= count:
-                continue
-            box = boxes[k]
-            if box[2] == 0:
-                box[0], box[1] = row, col
-            box[1] = min(box[1], col)
-            box[2] = row + 1
-            box[3] = max(box[3], col + 1)
-    return boxes
-
-
-def inner_clearances(
-    labels: LabelArray, count: int, resolution: float, largest_furniture: float
-) -> FloatArray:
+def inner_clearances(labels: LabelArray, boxes: IntArray, resolution: float) -> FloatArray:
     """Distance (count,) to its boundary that nine of ten points of a region do not exceed, m.
 
-    Furniture that stands free makes no room a narrow one.
+    Args:
+        labels: (H, W), of the regions and what stands in them.
+        boxes: (count, 4), of the labels without what stands at the walls (`region_boxes`).
+        resolution: m per cell.
     """
-    inner = np.zeros(count)
-    for i, (r0, c0, r1, c1) in enumerate(region_boxes(labels, count)):
-        inside = np.pad(labels[r0:r1, c0:c1] == i + 1, 1)
-        inside = _without_furniture(inside, largest_furniture / resolution)
+    inner = np.zeros(len(boxes))
+    for i, box in enumerate(boxes):
+        inside = np.pad(labels[part_around(box)] == i + 1, 1)
         distance = cv2.distanceTransform(
             inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
         )
         cells = float(np.quantile(distance[inside], _INNER))
         inner[i] = max(cells - 0.5, 0.25) * resolution
     return inner
-
-
-def _without_furniture(inside: BoolArray, largest: float) -> BoolArray:
-    """Cells with holes filled: of a tenth of what is inside, not longer than so many cells."""
-    _, holes, stats, _ = cv2.connectedComponentsWithStats((~inside).astype(np.uint8), None, None, 4)
-    small = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= largest
-    small &= stats[:, cv2.CC_STAT_AREA] <= (1.0 - _INNER) * np.count_nonzero(inside)
-    return np.asarray(inside | small[holes], bool)

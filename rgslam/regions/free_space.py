@@ -14,7 +14,7 @@ from numba import njit
 
 from rgslam.config import GatewayConfig, RegionConfig
 from rgslam.gateways.passages import Passages
-from rgslam.types import FloatArray
+from rgslam.types import FloatArray, IntArray
 
 BoolArray = npt.NDArray[np.bool_]
 LabelArray = npt.NDArray[np.int32]
@@ -115,18 +115,17 @@ def fill_islands(
     return free | _cells_of(labels, filled)
 
 
-def islands_in_regions(
-    labels: LabelArray, free: BoolArray, resolution: float, regions: RegionConfig
-) -> LabelArray:
+def islands_in_regions(labels: LabelArray, resolution: float, regions: RegionConfig) -> LabelArray:
     """Labels (H, W) that cover what stands in one region and is no larger than furniture.
+
+    Free pockets inside it are part of it.
 
     Args:
         labels: (H, W) of the regions, 0 = none.
-        free: (H, W), no islands filled that are to be looked at.
         resolution: m per cell.
         regions: how large furniture is.
     """
-    pieces, islands = find_islands(free)
+    pieces, islands = find_islands(labels > 0)
     least, most = _labels_around(np.ascontiguousarray(labels), pieces, int(pieces.max(initial=0)))
     region_of = np.zeros(len(least), np.int32)
     for island in islands:
@@ -229,3 +228,34 @@ def drop_slits(free: BoolArray, narrowest: float) -> BoolArray:
     opened = cv2.morphologyEx(np.pad(free.astype(np.uint8), radius + 1), cv2.MORPH_OPEN, disc)
     inner = np.s_[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
     return np.asarray(opened[inner] > 0, bool)
+
+
+@njit(cache=True)
+def region_boxes(labels: LabelArray, count: int) -> IntArray:
+    """First row, first column, end row, end column (count, 4) of labels 1..count.
+
+    The end of a label that does not occur is 0.
+    """
+    boxes = np.zeros((count, 4), np.int64)
+    for row in range(labels.shape[0]):
+        for col in range(labels.shape[1]):
+            k = labels[row, col] - 1
+            if k < 0 or k >= count:
+                continue
+            box = boxes[k]
+            if box[2] == 0:
+                box[0], box[1] = row, col
+            box[1] = min(box[1], col)
+            box[2] = row + 1
+            box[3] = max(box[3], col + 1)
+    return boxes
+
+
+#: Cells around a region that belong to the evidence about it: its walls, what stands at them.
+MARGIN = 2
+
+
+def part_around(box: IntArray) -> tuple[slice, slice]:
+    """Rows and columns of a region's box and of what is around it."""
+    r0, c0, r1, c1 = box.tolist()
+    return slice(max(r0 - MARGIN, 0), r1 + MARGIN), slice(max(c0 - MARGIN, 0), c1 + MARGIN)

@@ -14,7 +14,8 @@ from rgslam.config import Config, RegionConfig
 from rgslam.gateways.junctions import Junction, find_junctions
 from rgslam.gateways.passages import draw_wall
 from rgslam.gateways.posts import refine_posts
-from rgslam.regions.description import inner_clearances, rectangle_width, region_boxes
+from rgslam.regions.description import inner_clearances, rectangle_width
+from rgslam.regions.free_space import region_boxes
 from rgslam.regions.partition import Partition, flood, renumber, side_labels
 from rgslam.types import FloatArray, GatewayClass
 
@@ -35,12 +36,9 @@ def split_hallways(
         resolution: m per cell.
         config: what a hallway is.
     """
-    boxes = region_boxes(partition.labels, partition.count)
-    clearances = inner_clearances(
-        partition.labels, partition.count, resolution, config.regions.largest_furniture
-    )
+    clearances = inner_clearances(partition.labels, partition.boxes, resolution)
     junctions: list[Junction] = []
-    for i, (r0, c0, r1, c1) in enumerate(boxes):
+    for i, (r0, c0, r1, c1) in enumerate(partition.boxes):
         inside = partition.labels[r0:r1, c0:c1] == i + 1
         area = float(inside.sum()) * resolution**2
         width = rectangle_width(area, float(clearances[i]))

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numba as nb
@@ -16,16 +17,20 @@ from rgslam.config import Config, RegionConfig
 from rgslam.gateways.passages import Passages, clearance_of, draw_wall, select_passages
 from rgslam.gateways.past_furniture import made_by_furniture, thicker_than_walls
 from rgslam.gateways.posts import refine_posts
-from rgslam.gateways.virtual_lines import find_virtual_lines
+from rgslam.gateways.virtual_lines import WALL_NOISE, find_virtual_lines
 from rgslam.outlines import Outlines, trace_outlines
-from rgslam.regions.free_space import drop_slits, fill_islands, islands_in_regions, open_screens
+from rgslam.regions.free_space import (
+    drop_slits,
+    fill_islands,
+    islands_in_regions,
+    open_screens,
+    region_boxes,
+)
 from rgslam.types import FloatArray, GatewayClass, IntArray
 
 BoolArray = npt.NDArray[np.bool_]
 LabelArray = npt.NDArray[np.int32]
 
-# Noise of walls in a good grid: laser noise and pose error, 2 sigma, m.
-_WALL_NOISE = 0.06
 # Shallowest furniture that stands free, m: a table. Shelves stand against walls.
 _TABLE = 0.6
 # Crevices this deep belong to the region they open to, m: a cupboard's gap; deeper is a leak.
@@ -43,6 +48,11 @@ class Partition:
     is_neck: BoolArray  # (m,)
     sides: IntArray  # (m, 2), labels left and right of the direction from post 0 to post 1
     junctions: tuple[GatewayClass | None, ...]  # (m,), class of a junction of hallways
+
+    @cached_property
+    def boxes(self) -> IntArray:
+        """First row, first column, end row, end column (count, 4) of the labels."""
+        return region_boxes(self.labels, self.count)
 
 
 @nb.njit(cache=True)
@@ -239,7 +249,7 @@ def partition_free_space(
 
     labels = np.ascontiguousarray(merged[labels].astype(np.int32))
     flood(labels, np.ascontiguousarray(filled), int(np.ceil(_CREVICE / resolution)))
-    labels = islands_in_regions(labels, filled, resolution, config.regions)
+    labels = islands_in_regions(labels, resolution, config.regions)
     sides = merged[sides]
     real = (sides[:, 0] != sides[:, 1]) & (sides > 0).all(axis=1)
     labels, renamed, count = renumber(labels)
@@ -258,7 +268,7 @@ def _without_islands(
     """
     filled = fill_islands(free, resolution, config.regions, thickest)
     space = drop_slits(filled, config.regions.narrowest / resolution)
-    return filled, space, trace_outlines(space, max(1.0, _WALL_NOISE / resolution))
+    return filled, space, trace_outlines(space, max(1.0, WALL_NOISE / resolution))
 
 
 def _deepest_jambs(passages: Passages, resolution: float, config: Config) -> FloatArray:
@@ -275,7 +285,7 @@ def _deepest_jambs(passages: Passages, resolution: float, config: Config) -> Flo
 
 def near_wall(is_wall: BoolArray, resolution: float) -> BoolArray:
     """Cells within the wall noise of an occupied cell: a post must stand on something seen."""
-    reach = int(np.ceil(_WALL_NOISE / resolution)) + 1
+    reach = int(np.ceil(WALL_NOISE / resolution)) + 1
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     return np.asarray(cv2.dilate(is_wall.astype(np.uint8), kernel), bool)
 
@@ -289,6 +299,6 @@ def renumber(labels: LabelArray) -> tuple[LabelArray, IntArray, int]:
     counts[0] = 0
     present = np.flatnonzero(counts)
     order = np.lexsort((first[present], -counts[present]))
-    renamed = np.zeros(int(labels.max(initial=0)) + 1, np.int64)
+    renamed = np.zeros(len(counts), np.int64)
     renamed[present[order]] = np.arange(1, len(order) + 1)
     return renamed[labels].astype(np.int32), renamed, len(order)

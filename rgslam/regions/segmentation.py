@@ -15,7 +15,8 @@ from rgslam.gateways.classes import count_arms, gateway_class
 from rgslam.gateways.passages import draw_wall
 from rgslam.gateways.posts import post_covariance
 from rgslam.occupancy_grid import grid_from_image
-from rgslam.regions.description import RegionView, describe_region, inner_clearances, region_boxes
+from rgslam.regions.description import RegionView, describe_region, inner_clearances
+from rgslam.regions.free_space import part_around
 from rgslam.regions.hallways import split_hallways
 from rgslam.regions.partition import Partition, partition_free_space
 from rgslam.regions.wall_furniture import furniture_at_walls
@@ -87,7 +88,7 @@ def segment_grid(
     if of_run:
         partition = split_hallways(partition, free, grid.resolution, config)
     furniture = furniture_at_walls(
-        partition.labels, partition.count, free, is_wall, grid.resolution, config
+        partition.labels, partition.boxes, free, is_wall, grid.resolution, config
     )
     if partition.count > np.iinfo(np.uint16).max:
         raise MapError(f"{partition.count} regions are more than the label image can hold")
@@ -162,18 +163,14 @@ def _regions(
     grid: OccupancyGrid,
     config: Config,
 ) -> tuple[Region, ...]:
-    clearances = inner_clearances(
-        whole, partition.count, grid.resolution, config.regions.largest_furniture
-    )
+    clearances = inner_clearances(whole, partition.boxes, grid.resolution)
     regions = []
-    for i, box in enumerate(region_boxes(partition.labels, partition.count)):
-        # Two cells of margin: the walls around a region belong to the evidence about it.
-        r0, c0 = np.maximum(box[:2] - 2, 0)
-        part = np.s_[r0 : box[2] + 2, c0 : box[3] + 2]
+    for i, box in enumerate(partition.boxes):
+        part = part_around(box)
         inside = partition.labels[part] == i + 1
         view = RegionView(
             inside, is_wall[part], inside & ~free[part], (whole[part] == i + 1) & ~inside,
-            np.array([r0, c0]), grid.resolution, grid.origin,
+            np.array([part[0].start, part[1].start]), grid.resolution, grid.origin,
         )  # fmt: skip
         own = [g for g in gateways if i + 1 in g.regions]
         regions.append(describe_region(i + 1, view, own, float(clearances[i]), config.regions))
@@ -201,7 +198,7 @@ def _classified(
             draw_wall(closed, a[0], a[1], b[0], b[1])
     found = []
     for g, is_neck in zip(gateways, necks, strict=True):
-        hallways = float(np.prod([_hallway_probability(regions[r - 1]) for r in g.regions]))
+        hallways = float(np.prod([regions[r - 1].hallway_probability for r in g.regions]))
         if g.label is not GatewayClass.OPENING:
             found.append(replace(g, label_probability=hallways))
             continue
@@ -213,11 +210,6 @@ def _classified(
         )
         found.append(replace(g, label=label, label_probability=probability))
     return tuple(found)
-
-
-def _hallway_probability(region: Region) -> float:
-    sure = region.label_probability
-    return sure if region.label is RegionClass.HALLWAY else 1.0 - sure
 
 
 def _cells_inside(w_points: FloatArray, grid: OccupancyGrid) -> IntArray:

@@ -15,17 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from rgslam.config import Config
+from rgslam.gateways.virtual_lines import WALL_NOISE
 from rgslam.geometry import rotation
 from rgslam.line_segments import main_axes
 from rgslam.outlines import trace_outlines
-from rgslam.regions.description import region_boxes
-from rgslam.types import FloatArray, LineSegment
+from rgslam.regions.free_space import part_around
+from rgslam.types import FloatArray, IntArray, LineSegment
 
 BoolArray = npt.NDArray[np.bool_]
 LabelArray = npt.NDArray[np.int32]
 
-# Noise of walls in a grid, m: what stands out by less is no furniture.
-_WALL_NOISE = 0.06
 # Share of a hidden place's inner cells that may have been seen occupied: a laser does not look
 # inside of furniture, but it does see the far side of a pier.
 _SEEN_INSIDE = 0.1
@@ -38,7 +37,7 @@ _OF_OTHERS = 0.02
 
 
 def furniture_at_walls(
-    labels: LabelArray, count: int, free: BoolArray, is_wall: BoolArray, resolution: float,
+    labels: LabelArray, boxes: IntArray, free: BoolArray, is_wall: BoolArray, resolution: float,
     config: Config,
 ) -> LabelArray:  # fmt: skip
     """Cells (H, W) taken by furniture against the walls of regions: the region's label, else 0.
@@ -48,18 +47,16 @@ def furniture_at_walls(
     plan draws all of it), and it is nobody else's.
 
     Args:
-        labels: (H, W), of regions 1 to `count`.
-        count: number of regions.
+        labels: (H, W), of regions.
+        boxes: (count, 4), of regions 1 to `count`.
         free: (H, W) free cells.
         is_wall: (H, W) cells seen occupied.
         resolution: m per cell.
         config: how large furniture is and how wide a door, the recess that is none.
     """
     found = np.zeros_like(labels)
-    margin = 2
-    for i, (r0, c0, r1, c1) in enumerate(region_boxes(labels, count)):
-        rows, cols = max(r0 - margin, 0), max(c0 - margin, 0)
-        part = np.s_[rows : r1 + margin, cols : c1 + margin]
+    for i, box in enumerate(boxes):
+        part = part_around(box)
         inside = labels[part] == i + 1
         taken = (free[part] | (labels[part] > 0)) & ~inside
         hidden = _hidden(inside, taken, is_wall[part], resolution, config)
@@ -84,7 +81,7 @@ def _hidden(
         mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((width, width), np.uint8)
     )
     # Fronts are seen as deep as the noise of a wall; what lies deeper has been looked into
-    front = int(np.ceil(2.0 * _WALL_NOISE / resolution))
+    front = int(np.ceil(2.0 * WALL_NOISE / resolution))
     places = _enclosed(bulk > 0) & ~mask
     number, pieces, stats, _ = cv2.connectedComponentsWithStats(
         places.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
@@ -108,7 +105,7 @@ def _hidden(
         x, y, w, h = stats[i, :4].tolist()
         piece = pieces[y : y + h, x : x + w] == i
         depth = _depth(piece) * resolution
-        good[i] = 2.0 * _WALL_NOISE <= depth <= sizes.deepest_furniture and (
+        good[i] = 2.0 * WALL_NOISE <= depth <= sizes.deepest_furniture and (
             not drawn[i] or _has_straight_sides(piece, front)
         )
     back = cv2.warpAffine(
