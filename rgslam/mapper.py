@@ -20,11 +20,11 @@ from rgslam.config import Config
 from rgslam.described_run import DescribedRun, PosedRun, Track, describe_run
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
-from rgslam.first_edges import FirstEdge
 from rgslam.frame_placing import HORIZON, FramePlacer, ScanPlace
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView, Rejection, contradicted
+from rgslam.match_edges import MatchEdges
 from rgslam.moving_things import MovingThings, without
 from rgslam.observations import FrameObservations, RunMessage, observe_frame
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance
@@ -32,7 +32,6 @@ from rgslam.rg_map import RGMap, RunInfo, mount_details
 from rgslam.scan_matching import SURFACE, LaserGeometry, ScanPoints, ScanStore, scan_points
 from rgslam.stage_clock import StageClock
 from rgslam.types import (
-    EdgeKind,
     FloatArray,
     Keyframes,
     LaserScan,
@@ -51,12 +50,6 @@ if TYPE_CHECKING:  # loaded when there are images: most runs have none
 #: What a step without any motion may still be off: the wheels stand, the robot may be pushed or a
 #: stamp be late. 1 cm and 0.3 degrees.
 _STANDING = np.diag([0.01**2, 0.01**2, 0.005**2])
-#: Information of what no wall holds: 10 m and 10 rad.
-_OPEN = np.diag([1e-2, 1e-2, 1e-2])
-#: Variance of a relative pose of neighbours, relative to that of one match. Both would be 2 if they
-#: were matched with the same map; but the one was part of the other's. Where every scan is matched
-#: with the mean of twelve before it, the nearer the more in sight of it, 1.7 is left.
-_BOTH_ENDS = 1.7
 #: Poses are settled whenever the map has grown by this part of itself.
 _SETTLE_SHARE = 4
 #: While the run goes on, poses need not be better than the next loop makes them.
@@ -97,7 +90,7 @@ class Mapper:
         self._closer = LoopCloser(self.config.loop_closing)
         self._graph = PoseGraph(self.config.factor_graph.loop_kernel)
         self._geometry: LaserGeometry | None = None
-        self._first_edges: list[FirstEdge] | None = []  # None: the noise is known
+        self._matches = MatchEdges()
         self._keyframe_scans: list[int] = []
         self._keyframe_path: list[float] = []
         self._poses = np.empty((0, 3))  # wTb of the keyframes
@@ -253,7 +246,8 @@ class Mapper:
         self._wTb = np.asarray(match.wTb, float).copy()
         self._last = (scan, oTb)
         self._track.scans.append(scan)
-        self._track.keyframe.append(max(len(self._poses) - 1, 0))
+        keyframe = max(len(self._poses) - 1, 0)
+        self._track.keyframe.append(keyframe)
         kTb = between(self._poses[-1], self._wTb) if len(self._poses) else self._wTb
         self._track.kTb.append(kTb)
         self._track.predicted_only += not match.trusted
@@ -261,10 +255,10 @@ class Mapper:
             ScanPlace(
                 scan.stamp,
                 oTb,
-                self._track.keyframe[-1],
-                self._track.kTb[-1],
+                keyframe,
+                kTb,
                 self._since_keyframe,
-                lambda: match.information / _BOTH_ENDS,
+                lambda: self._matches.laser_information(keyframe, kTb, match.information),
                 doubted,
             )
         )
@@ -280,7 +274,10 @@ class Mapper:
         if number:
             self._local_map.learn(points, self._wTb)
             self._learn_wheels(match)
-            edges = self._match_edges(number, points, match)
+            wheels = np.asarray(np.linalg.inv(self._since_keyframe), np.float64)
+            self._matches.add(match.information, wheels, self._local_map.noise)
+            far = self._local_map.farthest_in_sight(points, self._poses) if match.trusted else None
+            edges = self._matches.edges(self._poses, far)
             self._graph.add(edges)
             self._closer.add_edges(edges)
         self._keyframe_oTb = self._last[1] if self._last is not None else None
@@ -298,45 +295,19 @@ class Mapper:
         if oTb is None or self._keyframe_oTb is None or not match.trusted:
             return
         laser = between(self._poses[-2], self._poses[-1])
-        covariance = np.linalg.inv(match.information / _BOTH_ENDS + _OPEN)
-        self._wheels.learn(
-            between(self._keyframe_oTb, oTb), laser, np.asarray(covariance, np.float64)
+        information = self._matches.laser_information(
+            len(self._poses) - 2, laser, match.information
         )
-
-    def _match_edges(self, number: int, points: ScanPoints, match: LocalMatch) -> list[PoseEdge]:
-        """What the match says of the newest keyframe, as relative poses to older ones.
-
-        It was aligned with all keyframes around here, so its error does not add to theirs as in a
-        chain. An edge to its neighbour and one to the oldest in sight drift as slowly as such an
-        average does. The error of the newest keyframe is in both, a correlation of one half: so
-        together they say 2 / (1 + 1/2) times as much as one, two thirds each.
-        """
-        information = match.information / _BOTH_ENDS
-        far = self._local_map.farthest_in_sight(points, self._poses) if match.trusted else None
-        shared = information if far is None else information * (2.0 / 3.0)
-        # Laser and wheels since the last keyframe are independent evidence: both count
-        wheels = np.asarray(np.linalg.inv(self._since_keyframe), np.float64)
-        edges = [self._edge(number - 1, number, shared, wheels)]
-        if far is not None:
-            edges.append(self._edge(far, number, shared, _OPEN))
-        return edges
-
-    def _edge(self, i: int, j: int, laser: FloatArray, rest: FloatArray) -> PoseEdge:
-        covariance = np.asarray(np.linalg.inv(laser + rest), np.float64)
-        iTj = between(self._poses[i], self._poses[j])
-        edge = PoseEdge(i, j, iTj, covariance, EdgeKind.MATCH)
-        if self._first_edges is not None:
-            self._first_edges.append(FirstEdge(edge, laser, rest, self._local_map.noise))
-        return edge
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
+        self._wheels.learn(between(self._keyframe_oTb, oTb), laser, covariance)
 
     def _restate_first_edges(self) -> None:
-        """Once, when the noise is known; all covariances are relative to the first keyframe."""
-        if not self._first_edges or not self._local_map.noise_known:
+        if not self._matches.provisional or not self._local_map.noise_known:
             return
-        self._graph.remove(first.edge for first in self._first_edges)
-        self._graph.add(first.restated(self._local_map.noise) for first in self._first_edges)
+        before, after = self._matches.restate(self._local_map.noise)
+        self._graph.remove(before)
+        self._graph.add(after)
         self._closer.replace_edges(self._graph.edges)
-        self._first_edges = None
 
     def _search_loops(self, number: int) -> list[LoopCandidate]:
         if not self.config.loop_closing.enabled or number == 0:
@@ -350,6 +321,7 @@ class Mapper:
             np.fromiter(self._keyframe_path, float, len(self._keyframe_path)),
             self._local_map.sigma,
             self._local_map.variance_factor,
+            self._matches.own_covariances,
             self._local_map.incidence.shares,
         )
 

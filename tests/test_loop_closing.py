@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -30,6 +32,7 @@ from rgslam.types import EdgeKind, FloatArray, LaserScan, PoseEdge
 CONFIG = LoopClosingConfig()
 STEP = np.diag([0.02**2, 0.01**2, 0.005**2])
 NOISE = 0.01
+OWN = np.diag([0.002**2, 0.002**2, 0.001**2])  # what each keyframe is off by
 
 
 def chain(poses: FloatArray) -> list[PoseEdge]:
@@ -113,7 +116,7 @@ def furnished_view(poses: FloatArray, hallway: bool = False) -> MapView:
     assert store is not None
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     path[len(poses) // 2 :] += 20.0  # a long way round between the two visits
-    return MapView(store, poses, path, 0.015, 5.0)
+    return MapView(store, poses, path, 0.015, 5.0, np.repeat(OWN[None], len(poses), axis=0))
 
 
 def pillar(pose: FloatArray, angles: FloatArray) -> FloatArray:
@@ -135,7 +138,7 @@ def proposed(view: MapView, off: FloatArray, covariance: FloatArray) -> tuple[Lo
     """The loop of the last keyframe to the first visit, the second one being drifted by `off`."""
     truth = view.poses
     drifted = np.vstack([truth[:8], compose(off, truth[8:])])
-    view = MapView(view.store, drifted, view.path, view.sigma, view.variance_factor)
+    view = replace(view, poses=drifted)
     chunk = np.array([3, 0, 1, 2, 4, 5, 6, 7])
     return propose_loop(view, 15, np.arange(8, 16), chunk, covariance, CONFIG), 3
 
@@ -151,6 +154,20 @@ def test_the_drift_of_a_second_visit_is_found() -> None:
     assert error @ np.linalg.solve(loop.edge.covariance, error) < 11.3
 
 
+def test_what_the_old_end_is_off_by_is_in_the_loop() -> None:
+    """A keyframe in a doorway does not know its heading among the others."""
+    view = furnished_view(two_visits())
+    sigma = np.diag([0.2**2, 0.2**2, 0.05**2])
+    sure, _ = proposed(view, np.zeros(3), sigma)
+    own = view.own_covariances.copy()
+    own[3, 2, 2] = 0.01**2
+    unsure, _ = proposed(replace(view, own_covariances=own), np.zeros(3), sigma)
+    more = unsure.edge.covariance - sure.edge.covariance
+    heading = adjoint(inverse(sure.edge.iTj))[:, 2]
+    rest = 0.01**2 - OWN[2, 2]
+    np.testing.assert_allclose(more, rest * np.outer(heading, heading), atol=1e-9)
+
+
 def test_the_final_map_is_asked_again() -> None:
     """A loop that was right where it was found is given up where the map says otherwise."""
     view = furnished_view(two_visits())
@@ -159,7 +176,7 @@ def test_the_final_map_is_asked_again() -> None:
     assert contradicted([loop], view, CONFIG) == []
     # The second visit is bent by half a right angle: its walls cross the free space of the first
     bent = np.vstack([view.poses[:8], compose(np.array([0.0, 0.0, 0.8]), view.poses[8:])])
-    moved = MapView(view.store, bent, view.path, view.sigma, view.variance_factor)
+    moved = replace(view, poses=bent)
     assert contradicted([loop], moved, CONFIG) == [loop]
 
 
@@ -193,7 +210,7 @@ def test_only_old_places_in_sight_are_searched() -> None:
     covariances = np.repeat(np.diag([0.1, 0.1, 0.01])[None] ** 2, 16, axis=0)
     (chunk,) = old_chunks(view, 15, np.arange(8, 16), covariances, CONFIG)
     assert set(chunk) == set(range(8))
-    far = MapView(view.store, view.poses.copy(), view.path, 0.015, 5.0)
+    far = replace(view, poses=view.poses.copy())
     far.poses[:8, 0] -= 50.0
     assert old_chunks(far, 15, np.arange(8, 16), covariances, CONFIG) == []
 

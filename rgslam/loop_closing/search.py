@@ -82,6 +82,7 @@ class MapView:
     path: FloatArray  # (K,), m travelled at each keyframe
     sigma: float  # m, noise of a point across its line
     variance_factor: float  # of a scan's error, relative to independent beams of sigma
+    own_covariances: FloatArray  # (K, 3, 3), of what each keyframe's match with its like is off by
     noise_shares: tuple[float, float] = (1.0, 0.0)  # of walls and of ranges, see `IncidenceNoise`
 
 
@@ -174,7 +175,7 @@ def propose_loop(
         scan, match.wTb, old, view.sigma,
         gate_schedule(4.0 * config.resolution, view.sigma),
     )  # fmt: skip
-    loop_covariance = _loop_covariance(fine, scan, view)
+    loop_covariance = _loop_covariance(fine, scan, view, anchor)
     iTj = open_axes_as_predicted(
         fine.wTb, loop_covariance, predicted, covariance, config.min_window
     )
@@ -215,12 +216,19 @@ def open_axes_as_predicted(
     return compose(iTj, gain @ between(iTj, predicted))
 
 
-def _loop_covariance(fine: Registration, scan: ScanPoints, view: MapView) -> FloatArray:
-    """Covariance of a registered loop: the old keyframes err as the new one does."""
+def _loop_covariance(
+    fine: Registration, scan: ScanPoints, view: MapView, anchor: int
+) -> FloatArray:
+    """Covariance (3, 3) of a registered loop, tangent at its new end.
+
+    The scan is aligned with all of the old keyframes. So what the anchor is off by among them adds
+    to what the scan is off by: an anchor in a doorway may see too little to know its own heading.
+    """
     vague = np.diag([1e-2, 1e-2, 1e-2])  # 10 m, 10 rad: what no wall holds is left open
     information = fine.information(noise_shape(scan, view.store.geometry.bTl, view.noise_shares))
-    covariance = np.linalg.inv(information / (2.0 * view.variance_factor) + vague)
-    return np.asarray(covariance, np.float64)
+    here = np.linalg.inv(information / view.variance_factor + vague)
+    A = adjoint(inverse(fine.wTb))
+    return np.asarray(here + A @ view.own_covariances[anchor] @ A.T, np.float64)
 
 
 def chain(edge_a: PoseEdge, edge_b: PoseEdge, poses: FloatArray) -> FloatArray:
