@@ -11,9 +11,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from rgslam.config import Config
 from rgslam.loop_closing import EdgeTable
 from rgslam.occupancy_grid import build_occupancy_grid
-from rgslam.regions import segment_grid
+from rgslam.regions import fit_to_scans, segment_grid
+from rgslam.scan_hits import Hits
 from rgslam.scan_matching import (
     LaserGeometry,
     ScanPoints,
@@ -36,7 +38,11 @@ def compile_later_stages() -> None:
     angles = np.linspace(-1.5, 1.5, 31)
     scan = LaserScan(0.0, np.full(31, 2.0), angles, 80.0, np.zeros(3))
     build_occupancy_grid([scan], np.zeros((1, 3)))
-    segment_grid(OccupancyGrid(_plan(), _CELL, np.zeros(2)), of_run=True)
+    plan = segment_grid(OccupancyGrid(_plan(), _CELL, np.zeros(2)), of_run=True)
+    # Three scans, the fewest that tell of a wall, of the one below the long hallway
+    x = np.arange(1.0, 20.0, _CELL)
+    points, rays = np.column_stack([x, np.full_like(x, 1.0)]), np.tile([0.0, -1.0], (len(x), 1))
+    fit_to_scans(plan, Hits(points, rays, np.arange(len(x)) // 150), _CELL, Config())
 
 
 def _match_once() -> None:

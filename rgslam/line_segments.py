@@ -118,6 +118,46 @@ def extract_line_segments(
     return tuple(segments), float(np.sqrt(squares / explained)) if explained else None
 
 
+def frame_of(line: LineSegment) -> FloatArray:
+    """First end, direction and length (5,) of a line, as kernels take them."""
+    return np.concatenate([line.endpoints[0], line.along, [line.length]])
+
+
+@nb.njit(cache=True)
+def fit_straight(
+    t: FloatArray, d: FloatArray, line: tuple[float, float], reach: float
+) -> tuple[int, tuple[float, float], float, float]:
+    """Line of d over t by least squares, of the points (n,) near a first guess of it.
+
+    Args:
+        t: (n,).
+        d: (n,).
+        line: slope and value at zero of the guess.
+        reach: largest |d| off the guess.
+
+    Returns:
+        The number of points, slope and value at zero, the RMS of what is left, and the span of t.
+    """
+    count, sum_t, sum_d = 0, 0.0, 0.0
+    low, high = np.inf, -np.inf
+    for i in range(len(t)):
+        if abs(d[i] - line[1] - line[0] * t[i]) <= reach:
+            count += 1
+            sum_t, sum_d = sum_t + t[i], sum_d + d[i]
+            low, high = min(low, t[i]), max(high, t[i])
+    if count == 0:
+        return 0, line, 0.0, 0.0
+    mean_t, mean_d = sum_t / count, sum_d / count
+    tt = td = dd = 0.0
+    for i in range(len(t)):
+        if abs(d[i] - line[1] - line[0] * t[i]) <= reach:
+            x, y = t[i] - mean_t, d[i] - mean_d
+            tt, td, dd = tt + x * x, td + x * y, dd + y * y
+    slope = td / tt if tt > 0.0 else 0.0
+    rms = np.sqrt(max(dd - slope * td, 0.0) / count)
+    return count, (slope, mean_d - slope * mean_t), rms, high - low
+
+
 def main_axes(segments: tuple[LineSegment, ...]) -> FloatArray:
     """One or two main directions of line segments, (1 or 2, 2) unit vectors, the stronger first.
 

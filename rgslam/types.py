@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -223,17 +224,17 @@ class LineSegment:
     endpoints: FloatArray  # (2, 2), w
     sigma: float  # m, standard deviation of the points across the line
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Distance of its ends, m."""
         return float(np.hypot(*(self.endpoints[1] - self.endpoints[0])))
 
-    @property
+    @cached_property
     def along(self) -> FloatArray:
         """Unit vector (2,) from the first end to the second, w."""
         return np.asarray((self.endpoints[1] - self.endpoints[0]) / self.length)
 
-    @property
+    @cached_property
     def across(self) -> FloatArray:
         """Unit vector (2,) to its left, w."""
         x, y = self.along

@@ -21,8 +21,9 @@ from rgslam import LaserModel, predict_scan, segment_grid
 from rgslam.cli import app
 from rgslam.config import Config
 from rgslam.errors import MapError
+from rgslam.line_segments import fit_straight
 from rgslam.regions import fit_to_scans
-from rgslam.scan_hits import Hits, hits_of, split_passes
+from rgslam.scan_hits import Hits, count_passes, hits_of, split_passes
 from rgslam.types import FloatArray, OccupancyGrid, Segmentation
 
 SIGMA = 0.01  # m, noise of a range
@@ -148,6 +149,35 @@ def test_a_pass_ends_where_the_robot_is_elsewhere_for_a_while() -> None:
     assert [p.tolist() for p in split_passes(scans, 10)] == [[1, 3, 11], [30, 31]]
     assert [p.tolist() for p in split_passes(scans, 1)] == [[1], [3], [11], [30, 31]]
     assert split_passes(np.zeros(0, np.int64), 10) == []
+    assert [count_passes(scans, gap) for gap in (10, 1)] == [2, 4]
+    assert count_passes(np.zeros(0, np.int64), 10) == 0
+
+
+@given(
+    corners=st.lists(st.tuples(*[st.floats(-12.0, 12.0)] * 2), min_size=2, max_size=2),
+    margin=st.floats(0.0, 2.0),
+)
+def test_those_near_are_those_in_the_box(corners: list[tuple[float, float]], margin: float) -> None:
+    points = np.random.default_rng(5).normal(0.0, 4.0, (400, 2))
+    hits = Hits(points, np.zeros((400, 2)), np.arange(400))
+    a, b = np.array(corners)
+    low, high = np.minimum(a, b) - margin, np.maximum(a, b) + margin
+    inside = ((points >= low) & (points <= high)).all(axis=1)
+    np.testing.assert_array_equal(hits.places_near(a, b, margin), np.flatnonzero(inside))
+
+
+def test_a_straight_fit_is_that_of_least_squares_without_what_lies_off() -> None:
+    rng = np.random.default_rng(6)
+    t = rng.uniform(-2.0, 3.0, 60)
+    d = 0.1 * t + 0.4 + rng.normal(0.0, SIGMA, 60)
+    slope, offset = np.polyfit(t, d, 1)
+    far = np.append(t, 1.0), np.append(d, 9.0)
+    count, line, rms, span = fit_straight(*far, (0.0, 0.4), 1.0)
+    assert count == 60
+    assert line == pytest.approx((slope, offset))
+    assert rms == pytest.approx(np.sqrt(np.mean((d - slope * t - offset) ** 2)))
+    assert span == pytest.approx(np.ptp(t))
+    assert fit_straight(*far, (0.0, 90.0), 1.0)[0] == 0
 
 
 # --- Predicted scan -------------------------------------------------------------------------------

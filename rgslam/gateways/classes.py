@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from statistics import NormalDist
 
+import numba as nb
 import numpy as np
 import numpy.typing as npt
 
@@ -17,6 +18,8 @@ BoolArray = npt.NDArray[np.bool_]
 
 # An arm of a junction is free for this many widths of the hallway.
 _ARM_LENGTH = 2.5
+# Directions in which views are looked at, evenly round about.
+_DIRECTIONS = 72
 
 
 def count_arms(free: BoolArray, posts: FloatArray) -> tuple[int, bool]:
@@ -43,14 +46,21 @@ def count_arms(free: BoolArray, posts: FloatArray) -> tuple[int, bool]:
 
 def _arm_directions(free: BoolArray, x: float, y: float, reach: float) -> FloatArray:
     """Middle directions (n,) of the groups of directions with a free view of at least `reach`."""
-    step = np.radians(5.0)
-    angles = np.arange(0.0, 2.0 * np.pi - 1e-9, step)
-    long = np.array([ray_length(free, x, y, np.cos(a), np.sin(a), reach) >= reach for a in angles])
+    step = 2.0 * np.pi / _DIRECTIONS
+    long = _long_views(free, x, y, reach)
     starts = np.flatnonzero(long & ~np.roll(long, 1))
     lengths = [int(np.argmin(np.roll(long, -s))) for s in starts]
-    return np.array(
-        [angles[s] + 0.5 * step * (n - 1) for s, n in zip(starts, lengths, strict=True)]
-    )
+    return np.array([step * (s + 0.5 * (n - 1)) for s, n in zip(starts, lengths, strict=True)])
+
+
+@nb.njit(cache=True)
+def _long_views(free: BoolArray, x: float, y: float, reach: float) -> BoolArray:
+    """In which of the directions (n,) round about the view is long."""
+    long = np.empty(_DIRECTIONS, np.bool_)
+    for k in range(_DIRECTIONS):
+        angle = 2.0 * np.pi * k / _DIRECTIONS
+        long[k] = ray_length(free, x, y, np.cos(angle), np.sin(angle), reach) >= reach
+    return long
 
 
 def gateway_class(

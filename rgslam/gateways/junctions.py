@@ -14,10 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba as nb
 import numpy as np
 import numpy.typing as npt
 
-from rgslam.gateways.passages import draw_wall
+from rgslam.gateways.passages import draw_wall, median
 from rgslam.gateways.virtual_lines import find_posts, is_free_segment, ray_length
 from rgslam.outlines import Outlines, trace_outlines
 from rgslam.types import FloatArray, GatewayClass
@@ -73,7 +74,7 @@ def find_junctions(
     found = []
     for mouth in sorted(_mouths(left, space, np.array(snap).reshape(-1, 2), width),
                         key=lambda m: m.sight):  # fmt: skip
-        if _is_mouth(left, mouth.ends) is not None:  # no other one has closed it since
+        if _mouth_side(left, mouth.ends) != 0:  # no other one has closed it since
             draw_wall(left, *mouth.ends.ravel())
             found.append(Junction(mouth.ends, mouth.label))
     turned: list[FloatArray] = []
@@ -112,12 +113,13 @@ def _mouths(
             if not is_free_segment(hallways, *a, *b):
                 continue
             ends = np.stack([a, b])
-            arm = _is_mouth(hallways, ends)
-            if arm is None:
+            side = _mouth_side(hallways, ends)
+            if side == 0:
                 continue
             x, y = ends.mean(axis=0)
-            ahead = ray_length(hallways, x, y, -arm[0], -arm[1], _FAR)
-            sight = ray_length(space, x, y, *arm, _FAR) + ray_length(space, x, y, *-arm, _FAR)
+            dx, dy = side / length * np.array([a[1] - b[1], b[0] - a[0]])
+            ahead = ray_length(hallways, x, y, -dx, -dy, _FAR)
+            sight = ray_length(space, x, y, dx, dy, _FAR) + ray_length(space, x, y, -dx, -dy, _FAR)
             # Straight on behind the main hallway another arm begins
             crossing = ahead >= (1.0 + _ARM) * length
             label = GatewayClass.X_JUNCTION if crossing else GatewayClass.T_JUNCTION
@@ -125,44 +127,57 @@ def _mouths(
     return mouths
 
 
-def _is_mouth(hallways: BoolArray, ends: FloatArray) -> FloatArray | None:
-    """Direction (2,) into the side hallway, None if there is none on either side."""
-    along = ends[1] - ends[0]
-    length = float(np.linalg.norm(along))
-    along = along / length
-    for normal in (np.array([-along[1], along[0]]), np.array([along[1], -along[0]])):
-        if _is_arm(hallways, ends.mean(axis=0), along, normal, length) and _opens(
-            hallways, ends, along, -normal, length
+@nb.njit(cache=True)
+def _mouth_side(hallways: BoolArray, ends: FloatArray) -> int:
+    """Where the side hallway is: 1 to the left of the line, -1 to the right, 0 on neither side."""
+    ux, uy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    length = np.hypot(ux, uy)
+    middle = 0.5 * (ends[0, 0] + ends[1, 0]), 0.5 * (ends[0, 1] + ends[1, 1])
+    along = ux / length, uy / length
+    for side in (1, -1):
+        arm = -side * along[1], side * along[0]
+        before = -arm[0], -arm[1]
+        if _is_arm(hallways, middle, along, arm, length) and _opens(
+            hallways, middle, along, before, length
         ):
-            return normal
-    return None
+            return side
+    return 0
 
 
+@nb.njit(cache=True)
 def _is_arm(
-    hallways: BoolArray, middle: FloatArray, along: FloatArray, normal: FloatArray, length: float
+    hallways: BoolArray,
+    middle: tuple[float, float],
+    along: tuple[float, float],
+    normal: tuple[float, float],
+    length: float,
 ) -> bool:
     """Whether behind the line the space stays as wide as the line, for long enough."""
-    x, y = middle + 1.5 * normal
-    if ray_length(hallways, x, y, *normal, _ARM * length + 1.0) < _ARM * length:
+    x, y = middle[0] + 1.5 * normal[0], middle[1] + 1.5 * normal[1]
+    if ray_length(hallways, x, y, normal[0], normal[1], _ARM * length + 1.0) < _ARM * length:
         return False
-    widths = []
-    for depth in np.linspace(0.2, _ARM, 6) * length:
-        px, py = middle + depth * normal
-        widths.append(
-            ray_length(hallways, px, py, *along, _FAR) + ray_length(hallways, px, py, *-along, _FAR)
-        )
-    return bool(np.median(widths) <= _SAME_WIDTH * length)
+    widths = np.empty(6)
+    for k in range(6):
+        depth = (0.2 + (_ARM - 0.2) * k / 5.0) * length
+        px, py = middle[0] + depth * normal[0], middle[1] + depth * normal[1]
+        widths[k] = ray_length(hallways, px, py, along[0], along[1], _FAR)
+        widths[k] += ray_length(hallways, px, py, -along[0], -along[1], _FAR)
+    return median(widths) <= _SAME_WIDTH * length
 
 
+@nb.njit(cache=True)
 def _opens(
-    hallways: BoolArray, ends: FloatArray, along: FloatArray, normal: FloatArray, length: float
+    hallways: BoolArray,
+    middle: tuple[float, float],
+    along: tuple[float, float],
+    normal: tuple[float, float],
+    length: float,
 ) -> bool:
     """Whether before the line a hallway runs past it: for long to one side, a bit to the other."""
-    x, y = ends.mean(axis=0) + 0.4 * length * normal
-    beyond = [
-        ray_length(hallways, x, y, *(sign * along), _FAR) - 0.5 * length for sign in (1.0, -1.0)
-    ]
-    return min(beyond) >= _STUB * length and max(beyond) >= _ARM * length
+    x, y = middle[0] + 0.4 * length * normal[0], middle[1] + 0.4 * length * normal[1]
+    ahead = ray_length(hallways, x, y, along[0], along[1], _FAR) - 0.5 * length
+    back = ray_length(hallways, x, y, -along[0], -along[1], _FAR) - 0.5 * length
+    return min(ahead, back) >= _STUB * length and max(ahead, back) >= _ARM * length
 
 
 # --- L --------------------------------------------------------------------------------------------

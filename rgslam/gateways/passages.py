@@ -63,7 +63,7 @@ def draw_wall(free: BoolArray, x0: float, y0: float, x1: float, y1: float) -> No
 
 
 @nb.njit(cache=True)
-def _median(values: FloatArray) -> float:
+def median(values: FloatArray) -> float:
     """Median of a few values, sorted in place (`np.median` takes Numba seconds to compile)."""
     for i in range(1, len(values)):
         for k in range(i, 0, -1):
@@ -116,7 +116,7 @@ def _side(
     for f in (-0.3, 0.0, 0.3):
         px, py = x - f * length * ny + 1.5 * nx, y + f * length * nx + 1.5 * ny
         reach = max(reach, 1.5 + ray_length(free, px, py, nx, ny, far))
-    return _median(widths[:count]), reach
+    return median(widths[:count]), reach
 
 
 @nb.njit(cache=True)

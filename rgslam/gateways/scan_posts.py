@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rgslam.scan_hits import Hits, split_passes
+from rgslam.scan_hits import Hits, count_passes
 from rgslam.types import FloatArray, Gateway, IntArray, LineSegment, Mask
 
 # How far from a post its wall is looked at: as wide as a frame and its trim, m.
@@ -188,7 +188,7 @@ def _median(values: FloatArray, scans: IntArray) -> _Place | None:
     middle = float(np.median(values))
     sigma = 1.4826 * float(np.median(np.abs(values - middle)))
     # The median of many values of one pass is as good as their pose: its error is what they share
-    passes = len(split_passes(scans, _PASS_GAP))
+    passes = count_passes(scans, _PASS_GAP)
     return _Place(middle, max(sigma, 1e-3) ** 2 / passes, sigma)
 
 
@@ -214,7 +214,7 @@ def refine_corners(
         seen = hits.near(gateway.points[k], gateway.points[k], _BESIDE)
         part = slice(2 * k, 2 * k + 2)
         points[k] = corner[0]
-        passes = len(split_passes(seen.scans, _PASS_GAP))
+        passes = count_passes(seen.scans, _PASS_GAP)
         covariance[part, part] = corner[1] / max(passes, 1)
     return _with_posts(gateway, points, covariance)
 

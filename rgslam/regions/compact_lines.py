@@ -11,12 +11,13 @@ another one explains is none.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
+import numba as nb
 import numpy as np
 from shapely import Polygon, contains_xy, prepare
 
+from rgslam.line_segments import fit_straight, frame_of
 from rgslam.scan_hits import Hits
 from rgslam.types import FloatArray, Gateway, IntArray, LineSegment, Mask
 
@@ -39,15 +40,6 @@ _STRIP = 3.0 * EXPLAINED
 _NEAR_CELLS = 2
 
 
-@dataclass(frozen=True, eq=False)
-class _Along:
-    """Points in the frame of a line."""
-
-    t: FloatArray  # (n,), along it, m from its first end
-    d: FloatArray  # (n,), across it, m, positive to its left
-    from_left: Mask  # (n,), the beam came from there
-
-
 def compact_lines(
     lines: Sequence[LineSegment],
     hits: Hits,
@@ -64,30 +56,24 @@ def compact_lines(
         outline: (n, 2), of the region, w.
         gap: a wall goes on behind what hides less of it, m.
     """
-    left = np.ones(len(hits.points), bool)
+    left, everything = np.ones(len(hits.points), bool), np.ones(len(hits.points), bool)
     polygon = Polygon(outline)
     prepare(polygon)
-    x, y = np.ascontiguousarray(hits.points.T)
     posts = np.array([gateway.points for gateway in gateways]).reshape(-1, 2, 2)
     found = []
     for line in sorted(lines, key=lambda line: -line.length):
-        (x0, y0), (nx, ny) = line.endpoints[0], line.across
-        strip = np.flatnonzero(np.abs((x - x0) * nx + (y - y0) * ny) <= _STRIP)
-        near = hits.where(strip)
-        place = _along(line, near)
-        seen = _steps(place, line.length, np.ones(len(strip), bool))
+        strip = _strip(hits.points, frame_of(line))
+        seen = _share(line, hits, strip, everything)
         if seen < _OWN:  # hardly any beam ended there: the grid knows better
             found.append(line)
             continue
-        if _steps(place, line.length, left[strip]) < _OWN * seen:
+        if _share(line, hits, strip, left) < _OWN * seen:
             continue
         for _ in range(_ROUNDS):
-            line = _grown(line, near, left[strip], posts, polygon, gap)
+            line = _grown(line, hits, strip, left, posts, polygon, gap)
         if line.length < _SHORTEST:
             continue
-        place = _along(line, near)
-        explained = _on(place) & (place.t >= -EXPLAINED) & (place.t <= line.length + EXPLAINED)
-        left[strip[explained]] = False
+        _explain(hits.points, hits.rays, strip, frame_of(line), left)
         found.append(line)
     return tuple(found)
 
@@ -108,24 +94,106 @@ def at_boundary(
     return hits.where(near[row, col] > 0)
 
 
-def _along(line: LineSegment, hits: Hits) -> _Along:
-    across, offset = line.across, hits.points - line.endpoints[0]
-    return _Along(offset @ line.along, offset @ across, hits.rays @ across < 0.0)
+@nb.njit(cache=True)
+def _strip(points: FloatArray, frame: FloatArray) -> IntArray:
+    """Places of the points (n, 2) near the endless line through a frame (see `frame_of`)."""
+    near = np.empty(len(points), np.int64)
+    count = 0
+    for k in range(len(points)):
+        off = frame[2] * (points[k, 1] - frame[1]) - frame[3] * (points[k, 0] - frame[0])
+        if abs(off) <= _STRIP:
+            near[count] = k
+            count += 1
+    return near[:count]
 
 
-def _on(place: _Along) -> Mask:
-    return np.asarray((np.abs(place.d) <= EXPLAINED) & place.from_left, bool)
+@nb.njit(cache=True)
+def _along(
+    points: FloatArray, rays: FloatArray, frame: FloatArray, k: int
+) -> tuple[float, float, bool]:
+    """How far along and to the left of a line a point is, and whether its beam came from there."""
+    x, y = points[k, 0] - frame[0], points[k, 1] - frame[1]
+    ux, uy = frame[2], frame[3]
+    return ux * x + uy * y, ux * y - uy * x, ux * rays[k, 1] - uy * rays[k, 0] < 0.0
 
 
-def _steps(place: _Along, length: float, left: Mask) -> float:
+@nb.njit(cache=True)
+def _by_step(
+    points: FloatArray,
+    rays: FloatArray,
+    strip: IntArray,
+    left: Mask,
+    frame: FloatArray,
+    limits: tuple[float, float],
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Steps (m,) along a line on which points ended, and where along and across it on average.
+
+    Args:
+        points: (n, 2), w.
+        rays: (n, 2), w.
+        strip: places of those near the line.
+        left: (n,), those that count.
+        frame: the line (see `frame_of`).
+        limits: m, along the line.
+    """
+    t, d = np.empty(len(strip)), np.empty(len(strip))
+    count, low, high = 0, np.inf, -np.inf
+    for k in strip:
+        along, off, from_left = _along(points, rays, frame, k)
+        on = left[k] and from_left and abs(off) <= EXPLAINED
+        if on and limits[0] <= along <= limits[1]:
+            t[count], d[count] = along, off
+            low, high = min(low, along), max(high, along)
+            count += 1
+    first = int(np.floor(low / _STEP)) if count else 0
+    table = np.zeros((int(np.floor(high / _STEP)) - first + 1 if count else 0, 3))
+    for i in range(count):
+        step = table[int(np.floor(t[i] / _STEP)) - first]
+        step[0], step[1], step[2] = step[0] + 1.0, step[1] + t[i], step[2] + d[i]
+    steps = np.empty(len(table), np.int64)
+    found = 0
+    for i in range(len(table)):
+        if table[i, 0] > 0.0:
+            steps[found] = first + i
+            t[found], d[found] = table[i, 1] / table[i, 0], table[i, 2] / table[i, 0]
+            found += 1
+    return steps[:found], t[:found], d[:found]
+
+
+def _share(line: LineSegment, hits: Hits, strip: IntArray, left: Mask) -> float:
     """Share of the steps along a line on which one of the points ended that are left."""
-    on = _on(place) & left & (place.t >= 0.0) & (place.t <= length)
-    return len(np.unique(np.floor(place.t[on] / _STEP))) * _STEP / length
+    limits = 0.0, line.length
+    steps, _, _ = _by_step(hits.points, hits.rays, strip, left, frame_of(line), limits)
+    return len(steps) * _STEP / line.length
+
+
+@nb.njit(cache=True)
+def _explain(
+    points: FloatArray, rays: FloatArray, strip: IntArray, frame: FloatArray, left: Mask
+) -> None:
+    """Take the points that a line explains from those that are left (n,), in place."""
+    for k in strip:
+        along, off, from_left = _along(points, rays, frame, k)
+        if from_left and abs(off) <= EXPLAINED and -EXPLAINED <= along <= frame[4] + EXPLAINED:
+            left[k] = False
+
+
+@nb.njit(cache=True)
+def _spread(points: FloatArray, rays: FloatArray, strip: IntArray, frame: FloatArray) -> float:
+    """How far the wall strays from its line: all that is at it, not the best of it; RMS, m."""
+    squares, count = 0.0, 0
+    for k in strip:
+        along, off, from_left = _along(points, rays, frame, k)
+        if from_left and abs(off) <= 2.0 * EXPLAINED and 0.0 <= along <= frame[4]:
+            squares += off * off
+            count += 1
+    return np.sqrt(squares / count) if count else 0.0
 
 
 def _grown(
     line: LineSegment,
     hits: Hits,
+    strip: IntArray,
     left: Mask,
     gateways: FloatArray,
     outline: Polygon,
@@ -135,55 +203,57 @@ def _grown(
 
     Args:
         line: to start from.
-        hits: near it.
+        hits: of the region.
+        strip: which of them are near the line.
         left: (n,), which of them no other line explains.
         gateways: (g, 2, 2), posts.
         outline: of the region.
         gap: m, that a wall may have.
     """
-    place = _along(line, hits)
-    low, high = _limits(line, gateways)
-    on = _on(place) & left & (place.t >= low) & (place.t <= high)
-    steps, step_of = np.unique(np.floor(place.t[on] / _STEP).astype(int), return_inverse=True)
-    counts = np.bincount(step_of)
-    t = np.bincount(step_of, place.t[on]) / counts
-    d = np.bincount(step_of, place.d[on]) / counts
+    limits = _limits(frame_of(line), gateways)
+    steps, t, d = _by_step(hits.points, hits.rays, strip, left, frame_of(line), limits)
     runs = _runs(line, steps, outline, gap)
     inside = (t >= 0.0) & (t <= line.length)
     run = np.argmax(np.bincount(runs[inside])) if inside.any() else -1
     if np.count_nonzero(runs == run) < 2:
         return line
     t, d = t[runs == run], d[runs == run]
-    slope, offset = np.polyfit(t, d, 1)
-    ends_t = np.array([t.min(), t.max()])
-    ends = line.endpoints[0] + ends_t[:, None] * line.along
-    ends = ends + (offset + slope * ends_t)[:, None] * line.across
-    residual = place.d - offset - slope * place.t
-    # How far the wall really strays from its line: all that is at it, not the best of it
-    at_wall = place.from_left & (np.abs(residual) <= 2.0 * EXPLAINED)
-    at_wall &= (place.t >= ends_t[0]) & (place.t <= ends_t[1])
-    return LineSegment(ends, max(float(np.sqrt(np.mean(residual[at_wall] ** 2))), 1e-4))
+    _, (slope, offset), _, _ = fit_straight(t, d, (0.0, 0.0), np.inf)
+    ends_t = t[[0, -1], None]
+    ends = line.endpoints[0] + ends_t * line.along + (offset + slope * ends_t) * line.across
+    grown = LineSegment(ends, line.sigma)
+    spread = _spread(hits.points, hits.rays, strip, frame_of(grown))
+    return LineSegment(ends, max(spread, 1e-4))
 
 
 def _runs(line: LineSegment, steps: IntArray, outline: Polygon, gap: float) -> IntArray:
     """Number of the run of wall each step belongs to; a recess of the region ends one."""
     if len(steps) == 0:
         return steps
-    every = np.arange(steps[0], steps[-1] + 1)
-    behind = line.endpoints[0] + (every[:, None] + 0.5) * _STEP * line.along
-    is_open = contains_xy(outline, *(behind - _BEHIND * line.across).T)
+    is_open = np.ones(steps[-1] - steps[0] + 1, bool)
     is_open[steps - steps[0]] = False
+    missed = np.flatnonzero(is_open)
+    behind = line.endpoints[0] + (missed[:, None] + steps[0] + 0.5) * _STEP * line.along
+    is_open[missed] = contains_xy(outline, *(behind - _BEHIND * line.across).T)
     opened = np.cumsum(is_open)[steps - steps[0]]
     breaks = (np.diff(steps) > gap / _STEP) | (np.diff(opened) > 1)
     return np.concatenate([[0], np.cumsum(breaks)])
 
 
-def _limits(line: LineSegment, gateways: FloatArray) -> tuple[float, float]:
-    """How far along the line there is no gateway (g, 2, 2) in it, from its first end."""
-    offset = gateways - line.endpoints[0]
-    t, d = offset @ line.along, offset @ line.across
-    in_line = (np.abs(d).min(axis=1) <= _JAMB) & (np.ptp(d, axis=1) <= np.ptp(t, axis=1))
-    ahead = t.mean(axis=1) > 0.5 * line.length
-    high = float(t[in_line & ahead].min(initial=np.inf))
-    low = float(t[in_line & ~ahead].max(initial=-np.inf))
-    return min(low, 0.0), max(high, line.length)
+@nb.njit(cache=True)
+def _limits(frame: FloatArray, gateways: FloatArray) -> tuple[float, float]:
+    """How far along a line there is no gateway (g, 2, 2) in it, from its first end."""
+    x0, y0, ux, uy, length = frame
+    low, high = -np.inf, np.inf
+    for k in range(len(gateways)):
+        ax, ay = gateways[k, 0, 0] - x0, gateways[k, 0, 1] - y0
+        bx, by = gateways[k, 1, 0] - x0, gateways[k, 1, 1] - y0
+        ta, tb = ux * ax + uy * ay, ux * bx + uy * by
+        da, db = ux * ay - uy * ax, ux * by - uy * bx
+        if min(abs(da), abs(db)) > _JAMB or abs(da - db) > abs(ta - tb):
+            continue
+        if ta + tb > length:
+            high = min(high, ta, tb)
+        else:
+            low = max(low, ta, tb)
+    return min(low, 0.0), max(high, length)

@@ -126,34 +126,37 @@ def islands_in_regions(labels: LabelArray, resolution: float, regions: RegionCon
         regions: how large furniture is.
     """
     pieces, islands = find_islands(labels > 0)
-    least, most = _labels_around(np.ascontiguousarray(labels), pieces, int(pieces.max(initial=0)))
-    region_of = np.zeros(len(least), np.int32)
-    for island in islands:
-        i = island.label
-        if least[i] == most[i] and island.is_furniture_size(resolution, regions):
-            region_of[i] = least[i]
-    return np.where(region_of[pieces] > 0, region_of[pieces], labels)
+    sized = [one for one in islands if one.is_furniture_size(resolution, regions)]
+    numbers = np.array([one.label for one in sized], np.int64)
+    boxes = np.array([one.box for one in sized], np.int64).reshape(-1, 4)
+    covered = np.array(labels, order="C")
+    _give_labels_around(covered, pieces, numbers, boxes)
+    return covered
 
 
 @njit(cache=True)
-def _labels_around(
-    labels: LabelArray, pieces: LabelArray, count: int
-) -> tuple[LabelArray, LabelArray]:
-    """Smallest and largest label (count + 1,) on the free cells beside each piece."""
-    rows, cols = labels.shape
-    least = np.full(count + 1, np.iinfo(np.int32).max, np.int32)
-    most = np.full(count + 1, -1, np.int32)
-    for row in range(rows):
-        for col in range(cols):
-            i = pieces[row, col]
-            if i == 0:
-                continue
-            for r in range(max(row - 1, 0), min(row + 2, rows)):
-                for c in range(max(col - 1, 0), min(col + 2, cols)):
-                    if pieces[r, c] == 0:
-                        least[i] = min(least[i], labels[r, c])
-                        most[i] = max(most[i], labels[r, c])
-    return least, most
+def _give_labels_around(
+    labels: LabelArray, pieces: LabelArray, numbers: IntArray, boxes: IntArray
+) -> None:
+    """Give pieces (n,) that have one label all round that label, in place."""
+    for k in range(len(numbers)):
+        x, y, w, h = boxes[k]
+        least, most = np.iinfo(np.int32).max, -1
+        for row in range(y, y + h):
+            for col in range(x, x + w):
+                if pieces[row, col] != numbers[k]:
+                    continue
+                # One that stands alone does not touch the edge of the grid
+                for r in range(row - 1, row + 2):
+                    for c in range(col - 1, col + 2):
+                        if pieces[r, c] == 0:
+                            least, most = min(least, labels[r, c]), max(most, labels[r, c])
+        if least != most:
+            continue
+        for row in range(y, y + h):
+            for col in range(x, x + w):
+                if pieces[row, col] == numbers[k]:
+                    labels[row, col] = most
 
 
 def open_screens(

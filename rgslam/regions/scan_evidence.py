@@ -12,13 +12,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numba as nb
 import numpy as np
 
 from rgslam.config import Config
 from rgslam.gateways.scan_posts import refine_corners, refine_gateway
+from rgslam.line_segments import fit_straight, frame_of
 from rgslam.regions.compact_lines import at_boundary, compact_lines
 from rgslam.scan_hits import Hits
-from rgslam.types import FloatArray, Gateway, GatewayClass, LineSegment, Mask, Region, Segmentation
+from rgslam.types import (
+    FloatArray,
+    Gateway,
+    GatewayClass,
+    IntArray,
+    LineSegment,
+    Region,
+    Segmentation,
+)
 
 # Beams of one scan on one wall share the error of its pose: a wall needs several scans.
 _LEAST_SCANS = 3
@@ -78,7 +88,6 @@ def refit_region(region: Region, hits: Hits, resolution: float) -> Region:
         hits: of all scans.
         resolution: of the grid, m per cell.
     """
-    hits = hits.near(region.polygon.min(axis=0), region.polygon.max(axis=0), 2.0 * resolution)
     lines, squares, count = [], 0.0, 0
     for line in region.line_segments:
         refitted, used = _refit(line, hits, _STRIP * resolution)
@@ -90,40 +99,54 @@ def refit_region(region: Region, hits: Hits, resolution: float) -> Region:
 
 def _refit(line: LineSegment, hits: Hits, strip: float) -> tuple[LineSegment, int]:
     """A line fitted to the points before it, and their number; as it was when there are too few."""
-    a, b = line.endpoints
-    length, along, inward = line.length, line.along, line.across
-    t, d, seen, near = _along_and_across(hits.near(a, b, strip), a, along, inward)
-    chosen = (np.abs(d) <= strip) & (t >= 0.0) & (t <= length) & seen
-    if len(np.unique(near.scans[chosen])) < _LEAST_SCANS:
+    near = hits.places_near(line.endpoints[0], line.endpoints[1], strip)
+    frame = frame_of(line)
+    used, slope, offset, sigma = _fit(hits.points, hits.rays, hits.scans, near, frame, strip)
+    if used == 0:
         return line, 0
-    slope = offset = 0.0
-    sigma = strip
+    bend = offset + slope * np.array([[-0.5], [0.5]]) * line.length
+    ends = line.endpoints + bend * line.across
+    return LineSegment(ends, max(sigma, 1e-4)), used
+
+
+@nb.njit(cache=True)
+def _fit(
+    points: FloatArray,
+    rays: FloatArray,
+    scans: IntArray,
+    near: IntArray,
+    frame: FloatArray,
+    strip: float,
+) -> tuple[int, float, float, float]:
+    """Points used, slope, offset at the middle and spread of the wall at a line; 0 if too few.
+
+    `frame` is the line's first end, its direction and its length.
+    """
+    x0, y0, ux, uy, length = frame
+    t, d = np.empty(len(near)), np.empty(len(near))
+    used = scan_count = 0
+    last_scan = -1
+    for k in near:
+        x, y = points[k, 0] - x0, points[k, 1] - y0
+        along, off = ux * x + uy * y, ux * y - uy * x
+        from_inside = ux * rays[k, 1] - uy * rays[k, 0] < 0.0
+        if from_inside and abs(off) <= strip and 0.0 <= along <= length:
+            t[used], d[used] = along - 0.5 * length, off
+            used += 1
+            if scans[k] != last_scan:
+                last_scan = scans[k]
+                scan_count += 1
+    if scan_count < _LEAST_SCANS:
+        return 0, 0.0, 0.0, 0.0
+    t, d = t[:used], d[:used]
+    straight, sigma = (0.0, 0.0), strip
     for _ in range(3):
-        residual = d - offset - slope * (t - 0.5 * length)
-        kept = chosen & (np.abs(residual) <= max(_OUTLIER * sigma, 0.2 * strip))
-        if np.count_nonzero(kept) < _LEAST_SCANS or np.ptp(t[kept]) < 0.5 * length:
-            return line, 0
-        slope, offset = _straight(t[kept] - 0.5 * length, d[kept])
-        residual = d[kept] - offset - slope * (t[kept] - 0.5 * length)
-        sigma = float(np.sqrt(np.mean(residual**2)))
+        limit = max(_OUTLIER * sigma, 0.2 * strip)
+        kept, straight, sigma, span = fit_straight(t, d, straight, limit)
+        if kept < _LEAST_SCANS or span < 0.5 * length:
+            return 0, 0.0, 0.0, 0.0
     # How far the wall really strays from its line: all that is on it, not the best of it
-    residual = d[chosen] - offset - slope * (t[chosen] - 0.5 * length)
-    sigma = float(np.sqrt(np.mean(residual**2)))
-    ends = line.endpoints + (offset + slope * np.array([[-0.5], [0.5]]) * length) * inward
-    return LineSegment(ends, max(sigma, 1e-4)), int(np.count_nonzero(chosen))
-
-
-def _along_and_across(
-    hits: Hits, origin: FloatArray, along: FloatArray, inward: FloatArray
-) -> tuple[FloatArray, FloatArray, Mask, Hits]:
-    """Position along and across a line, whether the beam came from inside, and the hits."""
-    offset = hits.points - origin
-    return offset @ along, offset @ inward, hits.rays @ inward < 0.0, hits
-
-
-def _straight(t: FloatArray, d: FloatArray) -> tuple[float, float]:
-    """Slope and value at zero of d over t, least squares."""
-    mean_t, mean_d = t.mean(), d.mean()
-    spread = float(np.sum((t - mean_t) ** 2))
-    slope = float(np.sum((t - mean_t) * (d - mean_d))) / spread if spread > 0.0 else 0.0
-    return slope, float(mean_d - slope * mean_t)
+    squares = 0.0
+    for i in range(used):
+        squares += (d[i] - straight[1] - straight[0] * t[i]) ** 2
+    return used, straight[0], straight[1], np.sqrt(squares / used)
