@@ -25,8 +25,8 @@ from rgslam.loop_closing import (
     old_chunks,
     propose_loop,
 )
-from rgslam.loop_closing.search import open_axes_as_predicted
-from rgslam.scan_matching import LaserGeometry, ScanStore, scan_points
+from rgslam.loop_closing.search import open_axes_as_predicted, sharing_one_scan
+from rgslam.scan_matching import INVALID, LaserGeometry, ScanStore, scan_points
 from rgslam.types import EdgeKind, FloatArray, LaserScan, PoseEdge
 
 CONFIG = LoopClosingConfig()
@@ -140,7 +140,9 @@ def proposed(view: MapView, off: FloatArray, covariance: FloatArray) -> tuple[Lo
     drifted = np.vstack([truth[:8], compose(off, truth[8:])])
     view = replace(view, poses=drifted)
     chunk = np.array([3, 0, 1, 2, 4, 5, 6, 7])
-    return propose_loop(view, 15, np.arange(8, 16), chunk, covariance, CONFIG), 3
+    covariances = np.repeat(covariance[None], len(truth), axis=0)
+    loop = propose_loop(view, 15, np.arange(8, 16), chunk, covariances, CONFIG)
+    return loop, loop.edge.i
 
 
 def test_the_drift_of_a_second_visit_is_found() -> None:
@@ -158,14 +160,37 @@ def test_what_the_old_end_is_off_by_is_in_the_loop() -> None:
     """A keyframe in a doorway does not know its heading among the others."""
     view = furnished_view(two_visits())
     sigma = np.diag([0.2**2, 0.2**2, 0.05**2])
-    sure, _ = proposed(view, np.zeros(3), sigma)
+    sure, anchor = proposed(view, np.zeros(3), sigma)
     own = view.own_covariances.copy()
-    own[3, 2, 2] = 0.01**2
+    own[anchor, 2, 2] = 0.01**2
     unsure, _ = proposed(replace(view, own_covariances=own), np.zeros(3), sigma)
     more = unsure.edge.covariance - sure.edge.covariance
     heading = adjoint(inverse(sure.edge.iTj))[:, 2]
     rest = 0.01**2 - OWN[2, 2]
     np.testing.assert_allclose(more, rest * np.outer(heading, heading), atol=1e-9)
+
+
+def test_a_loop_ends_at_the_keyframe_that_sees_the_same() -> None:
+    """The others of the chunk look elsewhere, how they lie to it may be known badly."""
+    view = furnished_view(two_visits())
+    for k in set(range(8)) - {5}:
+        view.store.classes[k][90:] = INVALID
+    loop, anchor = proposed(view, np.zeros(3), np.diag([0.2**2, 0.2**2, 0.05**2]))
+    assert loop.rejection is None
+    assert anchor == 5
+    error = between(loop.edge.iTj, between(view.poses[5], view.poses[15]))
+    assert np.hypot(error[0], error[1]) < 0.02 and abs(error[2]) < 0.01
+
+
+def test_loops_of_one_scan_share_what_it_is_off_by() -> None:
+    poses = two_visits()
+    loops = [candidate(poses, i, 15, np.zeros(3)) for i in (1, 4, 6, 1)]
+    loops[1] = loops[1].rejected(Rejection.LOW_SCORE)
+    shared = {loop.edge.i: loop for loop in sharing_one_scan(loops)}
+    assert sorted(shared) == [1, 4, 6]  # the two that end at 1 are the same loop
+    for loop, factor in ((loops[0], 1.5), (loops[1], 1.0), (loops[2], 1.5)):
+        stated = shared[loop.edge.i].edge.covariance
+        np.testing.assert_allclose(stated, factor * loop.edge.covariance)
 
 
 def test_the_final_map_is_asked_again() -> None:

@@ -16,7 +16,14 @@ import numpy as np
 
 from rgslam.config import LoopClosingConfig
 from rgslam.loop_closing.acceptance import confirmed, consistent
-from rgslam.loop_closing.search import LoopCandidate, MapView, Rejection, old_chunks, propose_loop
+from rgslam.loop_closing.search import (
+    LoopCandidate,
+    MapView,
+    Rejection,
+    old_chunks,
+    propose_loop,
+    sharing_one_scan,
+)
 from rgslam.loop_closing.uncertainty import EdgeTable
 from rgslam.types import PoseEdge
 
@@ -63,10 +70,12 @@ class LoopCloser:
         chunks = old_chunks(view, new, patch, covariances, self._config)
 
         def propose() -> list[LoopCandidate]:
-            return [
-                propose_loop(view, new, patch, chunk, covariances[chunk[0]], self._config)
-                for chunk in chunks
-            ]
+            return sharing_one_scan(
+                [
+                    propose_loop(view, new, patch, chunk, covariances, self._config)
+                    for chunk in chunks
+                ]
+            )
 
         self._running = self._worker.submit(propose) if chunks else None
         return believed

@@ -9,6 +9,7 @@ free space the old scans saw is part of the comparison (`scan_matching.agreement
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -68,6 +69,10 @@ class LoopCandidate:
         """Whether the window was so wide that another place could have been meant."""
         return self.window > _WIDE
 
+    def widened(self, factor: float) -> LoopCandidate:
+        """The same candidate with a covariance that is larger by a factor."""
+        return replace(self, edge=replace(self.edge, covariance=factor * self.edge.covariance))
+
     def rejected(self, reason: Rejection) -> LoopCandidate:
         """The same candidate with a reason against it."""
         return replace(self, rejection=reason)
@@ -99,7 +104,8 @@ def old_chunks(
         config: lengths of patch and chunk.
 
     Returns:
-        Index arrays, disjoint, at most `config.chunks` of them.
+        Index arrays, at most `config.chunks` of them, whose first keyframes are apart; the
+        others may be in two of them.
     """
     travelled = view.path[new] - view.path
     old = np.flatnonzero(travelled > config.min_path)
@@ -130,7 +136,7 @@ def propose_loop(
     new: int,
     patch: IntArray,
     chunk: IntArray,
-    covariance: FloatArray,
+    covariances: FloatArray,
     config: LoopClosingConfig,
 ) -> LoopCandidate:
     """Correlate a patch with a chunk of old keyframes and judge the result.
@@ -139,47 +145,54 @@ def propose_loop(
         view: the map so far.
         new: the keyframe that the patch is attached to.
         patch: recent keyframes.
-        chunk: old keyframes; the first one is the anchor of the loop.
-        covariance: (3, 3), of the anchor relative to the new keyframe, at the anchor.
+        chunk: old keyframes, the most promising first.
+        covariances: (K, 3, 3), of every keyframe relative to the new one, at that keyframe.
         config: thresholds.
 
     Returns:
-        A candidate, with a reason in `rejection` when it is not believed.
+        A candidate, with a reason in `rejection` when it is not believed. Its old end is the
+        keyframe of the chunk that sees most of what the new one sees.
     """
-    anchor = int(chunk[0])
-    sigma_xy = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-    # The lever arm between the two turns the anchor's heading uncertainty into position
-    sigma_theta = float(np.sqrt(covariance[2, 2]))
+    first = int(chunk[0])
+    sigma_xy = float(np.sqrt(np.linalg.eigvalsh(covariances[first, :2, :2])[-1]))
+    # The lever arm between the two turns the old heading's uncertainty into position
+    sigma_theta = float(np.sqrt(covariances[first, 2, 2]))
     window = float(np.clip(3.0 * sigma_xy, config.min_window, config.max_window))
     turn = float(np.clip(3.0 * sigma_theta, 0.05, config.max_turn))
-    chunk_poses = between(view.poses[anchor], view.poses[chunk])
+    chunk_poses = between(view.poses[first], view.poses[chunk])
     old = build_surfel_map(*view.store.in_world(chunk, chunk_poses), config.resolution)
     patch_points, _, _, classes = view.store.in_world(
         patch, between(view.poses[new], view.poses[patch])
     )
     # Surfaces alone: stray returns of many scans would outnumber the walls, each in a cell its own
     points = thinned(patch_points[classes == SURFACE], 2.0 * config.resolution)
-    predicted = between(view.poses[anchor], view.poses[new])
     match = correlate(
         old,
         points[:: max(1, len(points) // _SEARCH_POINTS)],
-        predicted,
+        between(view.poses[first], view.poses[new]),
         window,
         turn,
         min_score=config.min_score,
         rival=(max(1.0, 0.3 * window), config.max_rival) if window > _WIDE else None,
     )
-    # Refine the newest scan among the old ones, all in the frame of the anchor
+    # Refine the newest scan among the old ones
     scan = view.store.scan(new)
     fine = register(
         scan, match.wTb, old, view.sigma,
         gate_schedule(4.0 * config.resolution, view.sigma),
     )  # fmt: skip
-    loop_covariance = _loop_covariance(fine, scan, view, anchor)
+    # From here on in the frame of the keyframe that is most like it
+    alike = _most_alike(scan, fine.wTb, view, chunk, chunk_poses, config)
+    anchor = int(chunk[alike])
+    seen = between(chunk_poses[alike], fine.wTb)
+    loop_covariance = _loop_covariance(fine, seen, scan, view, anchor)
+    predicted = between(view.poses[anchor], view.poses[new])
     iTj = open_axes_as_predicted(
-        fine.wTb, loop_covariance, predicted, covariance, config.min_window
+        seen, loop_covariance, predicted, covariances[anchor], config.min_window
     )
-    verdict = agreement(points, iTj, view.store, chunk, chunk_poses, config.tolerance)
+    verdict = agreement(
+        points, iTj, view.store, chunk, between(chunk_poses[alike], chunk_poses), config.tolerance
+    )
     edge = PoseEdge(anchor, new, iTj, loop_covariance, EdgeKind.LOOP)
     candidate = LoopCandidate(
         edge, match.score, match.rival_score, verdict.ratio, verdict.overlap, window
@@ -216,8 +229,31 @@ def open_axes_as_predicted(
     return compose(iTj, gain @ between(iTj, predicted))
 
 
+def _most_alike(
+    scan: ScanPoints,
+    iTj: FloatArray,
+    view: MapView,
+    chunk: IntArray,
+    chunk_poses: FloatArray,
+    config: LoopClosingConfig,
+) -> int:
+    """Index of the keyframe in the chunk that saw most of the points of a scan at iTj.
+
+    The scan was aligned with all of them, but above all with those around this one; how the others
+    lie to it may not be known as well.
+    """
+    points = thinned(scan.valid, 4.0 * config.resolution)
+    shares = [
+        agreement(
+            points, iTj, view.store, chunk[k : k + 1], chunk_poses[k : k + 1], config.tolerance
+        ).overlap
+        for k in range(len(chunk))
+    ]
+    return int(np.argmax(shares))
+
+
 def _loop_covariance(
-    fine: Registration, scan: ScanPoints, view: MapView, anchor: int
+    fine: Registration, iTj: FloatArray, scan: ScanPoints, view: MapView, anchor: int
 ) -> FloatArray:
     """Covariance (3, 3) of a registered loop, tangent at its new end.
 
@@ -227,8 +263,23 @@ def _loop_covariance(
     vague = np.diag([1e-2, 1e-2, 1e-2])  # 10 m, 10 rad: what no wall holds is left open
     information = fine.information(noise_shape(scan, view.store.geometry.bTl, view.noise_shares))
     here = np.linalg.inv(information / view.variance_factor + vague)
-    A = adjoint(inverse(fine.wTb))
+    A = adjoint(inverse(iTj))
     return np.asarray(here + A @ view.own_covariances[anchor] @ A.T, np.float64)
+
+
+def sharing_one_scan(candidates: Sequence[LoopCandidate]) -> list[LoopCandidate]:
+    """Loops of one new keyframe, which each say less the more of them are believed.
+
+    What the new scan is off by is in all of them, half of the variance of each: n of them together
+    say 2 n / (n + 1) times as much as one. Two that end at one old keyframe are the same loop.
+    """
+    believed: dict[int, LoopCandidate] = {}
+    for candidate in candidates:
+        if candidate.rejection is None:
+            believed.setdefault(candidate.edge.i, candidate)
+    factor = 0.5 * (1 + len(believed))
+    rejected = [candidate for candidate in candidates if candidate.rejection is not None]
+    return [*(candidate.widened(factor) for candidate in believed.values()), *rejected]
 
 
 def chain(edge_a: PoseEdge, edge_b: PoseEdge, poses: FloatArray) -> FloatArray:
