@@ -18,7 +18,7 @@ from rgslam.errors import MapError
 from rgslam.gateways.passages import Passages
 from rgslam.geometry import inverse, transform_points
 from rgslam.outlines import signed_area, trace_outlines
-from rgslam.regions.description import inner_clearances, region_class
+from rgslam.regions.classes import Shape, inner_clearances, longest_way, region_class
 from rgslam.regions.free_space import islands_in_regions, open_screens
 from rgslam.types import GatewayClass, OccupancyGrid, RegionClass
 
@@ -72,34 +72,67 @@ def test_hallway_and_hall_have_their_class(office_map):
     assert label[5].label is RegionClass.ROOM
 
 
+def rectangle(length, width, clearance=None):
+    """Shape of a rectangle; furniture may leave it less clearance."""
+    # A point in ten lies farther from the sides than the clearance
+    d = 0.5 * (length + width - np.sqrt((length + width) ** 2 - 3.6 * length * width)) / 2
+    return Shape(length * width, clearance or d, np.hypot(length, width))
+
+
 @pytest.mark.parametrize(
-    ("area", "clearance", "exits", "label", "sure"),
+    ("length", "width", "exits", "label", "sure"),
     [
-        (27.0, 0.81, 2, RegionClass.HALLWAY, 0.99),  # 1.8 x 15 m
-        (27.0, 0.81, 1, RegionClass.ROOM, 0.99),  # the same with one door: a long room
-        (20.0, 1.5, 2, RegionClass.ROOM, 0.95),  # 4 x 5 m
-        (108.0, 3.5, 2, RegionClass.OPEN_SPACE, 0.99),  # 9 x 12 m
-        (36.0, 2.05, 2, None, 0.5),  # 6 x 6 m, right at the limit: nobody can tell
+        (15.0, 1.8, 2, RegionClass.HALLWAY, 0.99),
+        (15.0, 1.8, 1, RegionClass.HALLWAY, 0.97),  # it may go on where nobody has looked
+        (5.4, 1.5, 1, RegionClass.ROOM, 0.97),  # a closet
+        (5.0, 4.0, 2, RegionClass.ROOM, 0.98),
+        (7.0, 2.0, 3, None, 0.65),  # a long room or a short hallway
+        (7.0, 2.0, 5, RegionClass.HALLWAY, 0.75),
+        (12.0, 9.0, 2, RegionClass.OPEN_SPACE, 0.99),
+        (6.0, 6.0, 2, None, 0.5),  # right at the limit: nobody can tell
     ],
 )
-def test_a_class_says_how_sure_it_is(area, clearance, exits, label, sure):
+def test_a_class_says_how_sure_it_is(length, width, exits, label, sure):
     door = segment_grid(raster([*office()[0], *office()[1]], 0.1)).gateways[0]
-    found, probability = region_class(area, clearance, [door] * exits, RegionConfig())
+    shape = rectangle(length, width)
+    assert shape.width == pytest.approx(width, rel=0.05)
+    assert shape.elongation == pytest.approx(length / width, rel=0.01)
+    found, probability = region_class(shape, [door] * exits, RegionConfig())
     assert label in (None, found)
     assert probability == pytest.approx(sure, abs=0.08)
 
 
+def test_furniture_along_its_walls_makes_no_hallway_of_a_room():
+    """5.6 x 3.1 m, of which cabinets leave 1.7 m free in the middle, with three doors."""
+    door = segment_grid(raster([*office()[0], *office()[1]], 0.1)).gateways[0]
+    shape = rectangle(5.6, 3.1, clearance=0.75)
+    assert shape.width < 1.8
+    assert region_class(shape, [door] * 3, RegionConfig())[0] is RegionClass.ROOM
+
+
 def test_a_piece_of_a_hallway_is_one_however_short():
-    """1.8 x 4 m, and a room of 5 x 8 m, each with a door at one end."""
     door = segment_grid(raster([*office()[0], *office()[1]], 0.1)).gateways[0]
     junction = replace(door, label=GatewayClass.L_JUNCTION)
-    for area, clearance, other_end, label in (
-        (7.2, 0.75, door, RegionClass.ROOM),
-        (7.2, 0.75, junction, RegionClass.HALLWAY),
-        (40.0, 1.95, junction, RegionClass.ROOM),
+    for length, width, other_end, label in (
+        (4.0, 1.8, door, RegionClass.ROOM),
+        (4.0, 1.8, junction, RegionClass.HALLWAY),
+        (8.0, 5.0, junction, RegionClass.ROOM),
     ):
-        found, _ = region_class(area, clearance, [door, other_end], RegionConfig())
+        found, _ = region_class(rectangle(length, width), [door, other_end], RegionConfig())
         assert found is label
+
+
+@settings(max_examples=15, deadline=None)
+@given(angle=st.floats(0.0, np.pi), resolution=st.sampled_from([0.05, 0.1]))
+def test_the_longest_way_goes_round_corners(angle, resolution):
+    """An L of 8 x 6 m, 1.5 m wide: from the far corner of one arm by the inner corner."""
+    ell = shapely.box(0, 0, 8, 1.5) | shapely.box(0, 0, 1.5, 6)
+    grid = raster([moved(ell, angle, False)], resolution)
+    true = np.hypot(6.5, 1.5) + np.hypot(4.5, 1.5)
+    # Squares of 0.3 m at both ends, directions off by 3 %
+    assert longest_way(grid.occupancy < 0.5, resolution) == pytest.approx(
+        true, abs=0.3 + 0.03 * true
+    )
 
 
 def test_furniture_in_the_middle_makes_no_room_narrow():

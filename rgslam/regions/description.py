@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log
-from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -17,13 +15,12 @@ from rgslam.config import RegionConfig
 from rgslam.geometry import inverse, transform_points
 from rgslam.line_segments import extract_line_segments, main_axes
 from rgslam.outlines import signed_area, trace_outlines
-from rgslam.regions.free_space import part_around
-from rgslam.types import FloatArray, Gateway, GatewayClass, IntArray, Region, RegionClass
+from rgslam.regions.classes import Shape, longest_way, region_class
+from rgslam.types import FloatArray, Gateway, IntArray, Region
 
 BoolArray = npt.NDArray[np.bool_]
 LabelArray = npt.NDArray[np.int32]
 
-_JUNCTIONS = (GatewayClass.L_JUNCTION, GatewayClass.T_JUNCTION, GatewayClass.X_JUNCTION)
 # Lines shorter than this carry no direction: about the depth of a door frame, m.
 _SHORTEST_LINE = 0.3
 # Footprint below which a speck is noise, m^2: the leg of a chair, or one cell of a coarse grid.
@@ -45,65 +42,6 @@ class RegionView:
     def world(self, cells_xy: FloatArray) -> FloatArray:
         """World positions of points (n, 2) in cells (x, y) of this part."""
         return self.origin + (cells_xy + self.corner[::-1]) * self.resolution
-
-
-#: Share of a region's points that the clearance which tells its width exceeds nowhere. Ragged walls
-#: and furniture eat the small clearances first; one wide corner only adds to the largest.
-_INNER = 0.9
-
-
-def rectangle_width(area: float, inner_clearance: float) -> float:
-    """Shorter side w of the rectangle of that area A with that clearance in its inner part, m.
-
-    The points farther than d from all sides make (w - 2 d) (A / w - 2 d) = (1 - share) A.
-    """
-    d, square = inner_clearance, float(np.sqrt(area))
-    width = min(2.0 * d / _INNER, square)
-    for _ in range(50):  # fixed point, from below
-        beyond = max(area / width - 2.0 * d, 1e-9)
-        width = min(2.0 * d + (1.0 - _INNER) * area / beyond, square)
-    return width
-
-
-#: Standard deviation of the logarithm of a region's width: that of 266 regions of ten floor plans,
-#: drawn empty and with furniture, differs by 0.14.
-_WIDTH_SIGMA = 0.15
-
-
-def region_class(
-    area: float, inner_clearance: float, gateways: Sequence[Gateway], config: RegionConfig
-) -> tuple[RegionClass, float]:
-    """Class of a region from its geometry, and its probability.
-
-    Width and length are those of the rectangle with the same area and the same clearance in its
-    inner part: corners, bends, rings, niches and furniture change them little. A hallway is long
-    for its width, not wider than hallways are, and leads somewhere; or it was divided from other
-    hallways at a junction, and may be short. An open space is wide both ways. As the area is
-    known, all are questions about the width, and how far it is from the limit tells how sure the
-    answer is.
-
-    Args:
-        area: m^2.
-        inner_clearance: distance to the boundary that nine of ten points do not exceed, m.
-        gateways: the region's gateways.
-        config: the limits.
-    """
-    width = rectangle_width(area, inner_clearance)
-    divided = any(g.label in _JUNCTIONS for g in gateways)
-    longest = np.inf if divided else float(np.sqrt(area / config.hallway_elongation))
-    leads_on = divided or len(gateways) >= 2
-    hallway = _below(width, min(config.hallway_width, longest)) if leads_on else 0.0
-    open_space = 1.0 - _below(width, config.open_space_width)
-    if hallway >= 0.5:
-        return RegionClass.HALLWAY, hallway
-    if open_space >= 0.5:
-        return RegionClass.OPEN_SPACE, open_space
-    return RegionClass.ROOM, 1.0 - hallway - open_space
-
-
-def _below(width: float, limit: float) -> float:
-    """Probability that a region is narrower than a limit."""
-    return NormalDist(log(width), _WIDTH_SIGMA).cdf(log(limit))
 
 
 def _boundary_chains(
@@ -238,7 +176,8 @@ def describe_region(
     area = float((view.inside | view.at_walls).sum()) * cell**2
     if len(axes) == 0:  # no straight wall anywhere: the frame's own x is as good as any
         axes = np.array([[1.0, 0.0]])
-    label, probability = region_class(area, inner_clearance, gateways, config)
+    shape = Shape(area, inner_clearance, longest_way(view.inside | view.at_walls, cell))
+    label, probability = region_class(shape, gateways, config)
     return Region(
         id=region_id,
         label=label,
@@ -254,22 +193,3 @@ def describe_region(
         accuracy_m=accuracy,
         completeness=completeness,
     )
-
-
-def inner_clearances(labels: LabelArray, boxes: IntArray, resolution: float) -> FloatArray:
-    """Distance (count,) to its boundary that nine of ten points of a region do not exceed, m.
-
-    Args:
-        labels: (H, W), of the regions and what stands in them.
-        boxes: (count, 4), of the labels without what stands at the walls (`region_boxes`).
-        resolution: m per cell.
-    """
-    inner = np.zeros(len(boxes))
-    for i, box in enumerate(boxes):
-        inside = np.pad(labels[part_around(box)] == i + 1, 1)
-        distance = cv2.distanceTransform(
-            inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
-        )
-        cells = float(np.quantile(distance[inside], _INNER))
-        inner[i] = max(cells - 0.5, 0.25) * resolution
-    return inner

@@ -14,7 +14,7 @@ from rgslam.config import Config, RegionConfig
 from rgslam.gateways.junctions import Junction, find_junctions
 from rgslam.gateways.passages import draw_wall
 from rgslam.gateways.posts import refine_posts
-from rgslam.regions.description import inner_clearances, rectangle_width
+from rgslam.regions.classes import inner_clearances, rectangle_width
 from rgslam.regions.free_space import region_boxes
 from rgslam.regions.partition import Partition, flood, renumber, side_labels
 from rgslam.types import FloatArray, GatewayClass

@@ -15,7 +15,8 @@ from rgslam.gateways.classes import count_arms, gateway_class
 from rgslam.gateways.passages import draw_wall
 from rgslam.gateways.posts import post_covariance
 from rgslam.occupancy_grid import grid_from_image
-from rgslam.regions.description import RegionView, describe_region, inner_clearances
+from rgslam.regions.classes import inner_clearances
+from rgslam.regions.description import RegionView, describe_region
 from rgslam.regions.free_space import part_around
 from rgslam.regions.hallways import split_hallways
 from rgslam.regions.partition import Partition, partition_free_space
@@ -199,7 +200,7 @@ def _classified(
     found = []
     for g, is_neck in zip(gateways, necks, strict=True):
         hallways = float(np.prod([regions[r - 1].hallway_probability for r in g.regions]))
-        if g.label is not GatewayClass.OPENING:
+        if g.label is not GatewayClass.OPENING and g.id in junctions:
             found.append(replace(g, label_probability=hallways))
             continue
         arms, straight = 0, False
