@@ -157,9 +157,6 @@ class LocalMap:
             best = other if other.inliers > best.inliers + _CLEARLY_BETTER else best
         if best.inliers < self._config.min_inliers:
             return LocalMatch.predicted(prediction, best.inliers, False)
-        self._residuals.append(best.residual)
-        self._scatters.append(best.scatter * self.sigma**2)
-        self._inliers.append(best.inliers)
         doubt = _doubt(between(prediction, best.wTb), odometry.covariance)
         bTl, shares = self._store.geometry.bTl, self.incidence.shares
 
@@ -167,6 +164,13 @@ class LocalMap:
             return noise_shape(scan, bTl, shares)
 
         return LocalMatch(best.wTb, best, shape, self.variance_factor, best.inliers, True, doubt)
+
+    def count(self, match: LocalMatch) -> None:
+        """Take a match as a sample of the noise, once for each scan."""
+        if match.registration is not None:
+            self._residuals.append(match.registration.residual)
+            self._scatters.append(match.registration.scatter * self.sigma**2)
+            self._inliers.append(match.inliers)
 
     def learn(self, scan: ScanPoints, wTb: FloatArray) -> None:
         """Take a scan that becomes a keyframe as a sample of how beams err."""

@@ -29,7 +29,13 @@ from rgslam.moving_things import MovingThings, without
 from rgslam.observations import FrameObservations, RunMessage, observe_frame
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance
 from rgslam.rg_map import RGMap, RunInfo, mount_details
-from rgslam.scan_matching import SURFACE, LaserGeometry, ScanPoints, ScanStore, scan_points
+from rgslam.scan_matching import (
+    SURFACE,
+    LaserGeometry,
+    ScanPoints,
+    ScanStore,
+    scan_points,
+)
 from rgslam.stage_clock import StageClock
 from rgslam.types import (
     FloatArray,
@@ -229,6 +235,7 @@ class Mapper:
                 still, moving = without(points, confirmed), confirmed
                 match = self._local_map.match(still, self._wTb, odometry, habit)
         self._moving.keep(points, moving, oTb, match.wTb)
+        self._local_map.count(match)
         return still, match
 
     def _remember(
@@ -549,5 +556,5 @@ class Mapper:
 
 def _sight(scan: LaserScan) -> float:
     """How far it sees, m: nothing of it would be seen again after a longer step."""
-    seen = scan.ranges[np.isfinite(scan.ranges)]
-    return float(seen.max()) if seen.size else scan.max_range
+    farthest = np.max(scan.ranges, where=np.isfinite(scan.ranges), initial=0.0)
+    return float(farthest) or scan.max_range

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rgslam.geometry import adjoint, between, inverse
+from rgslam.scan_matching import OPEN_AXES
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
 #: Share of the two errors that is in the way between them. Both would be, if the two were matched
@@ -25,8 +26,6 @@ _LEFT = 0.85
 #: Share of what a match says that each of its two edges tells. The error of the newest keyframe is
 #: in both, a correlation of one half: so together they say 2 / (1 + 1/2) times as much as one.
 _OF_TWO = 2.0 / 3.0
-#: Information of what no wall holds: 10 m and 10 rad.
-_OPEN = np.diag([1e-2, 1e-2, 1e-2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +74,7 @@ class MatchEdges:
             iTj: (3,), the way.
             laser: (3, 3), information of the scan's match.
         """
-        here = _inverse(laser + _OPEN)
+        here = _inverse(laser + OPEN_AXES)
         there = self._covariances[max(i - 1, 0)] if self._covariances else here
         A = adjoint(inverse(iTj))
         return _inverse(_LEFT * (here + A @ there @ A.T))
@@ -128,7 +127,7 @@ class MatchEdges:
         known = self._matched[j - 1]
         laser = self.laser_information(i, iTj, known.laser)
         # Laser and wheels since the last keyframe are independent evidence: both count
-        rest = known.wheels if j - i == 1 else _OPEN
+        rest = known.wheels if j - i == 1 else OPEN_AXES
         return _inverse(laser * (_OF_TWO if edges == 2 else 1.0) + rest)
 
 

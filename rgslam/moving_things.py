@@ -20,6 +20,7 @@ from rgslam.geometry import between, compose, wrap_angle
 from rgslam.local_map import LocalMatch
 from rgslam.scan_matching import (
     INVALID,
+    OPEN_AXES,
     PLACE_TOLERANCE,
     LaserGeometry,
     ScanPoints,
@@ -35,8 +36,6 @@ _APART, _TURN_APART = 0.25, math.radians(15.0)
 _KEPT = 4
 #: m: the laser knows the way when three of its sigmas are less than places must differ by.
 _KNOWN = PLACE_TOLERANCE / 3.0
-#: Information of what no wall holds: 10 m and 10 rad.
-_OPEN = np.diag([1e-2, 1e-2, 1e-2])
 #: Share of the beams above which the wheels are wrong rather than everything on the move.
 _MOST = 0.5
 
@@ -133,7 +132,7 @@ class MovingThings:
 
 def _way_sigma(match: LocalMatch) -> float:
     """m, along the axis that the laser knows least."""
-    covariance = np.linalg.inv(match.information + _OPEN)
+    covariance = np.linalg.inv(match.information + OPEN_AXES)
     return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
 
 

@@ -29,6 +29,7 @@ from rgslam.scan_matching import (
     scan_points,
     thinned,
 )
+from rgslam.scan_matching.correlative import _turned_cells
 from rgslam.types import FloatArray, LaserScan
 
 ROOM = (5.0, 4.0)
@@ -238,6 +239,20 @@ def test_branch_and_bound_finds_what_brute_force_finds(
     turn = 0.1 / max(reach, 1.0)
     turns = np.arange(-np.ceil(0.1 / turn), np.ceil(0.1 / turn) + 1) * turn
     assert match.score == pytest.approx(brute_force(surfels, points, centre, cells, turns))
+
+
+@pytest.mark.parametrize("columns", [10, 23, 24, 90])
+def test_four_blocks_at_a_time_are_read_within_the_grid(columns: int) -> None:
+    rows, half_cells, block = 60, 3, 16
+    x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+    points = np.stack([x.ravel(), y.ravel()], axis=-1)
+    cells = _turned_cells(
+        points, np.zeros(3), 0, 0.1, 1.0, np.zeros(2), (rows, columns), half_cells, block
+    )
+    inner = cells.flat[0, : cells.inner[0]]
+    farthest = inner.max() + half_cells * columns + half_cells + 3 * block
+    assert len(inner)
+    assert farthest < rows * columns
 
 
 def test_a_rival_is_found_where_the_room_looks_the_same_twice() -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from rgslam.config import LoopClosingConfig
 from rgslam.geometry import adjoint, between, compose, inverse
 from rgslam.scan_matching import (
+    OPEN_AXES,
     SURFACE,
     Registration,
     ScanPoints,
@@ -260,9 +261,8 @@ def _loop_covariance(
     The scan is aligned with all of the old keyframes. So what the anchor is off by among them adds
     to what the scan is off by: an anchor in a doorway may see too little to know its own heading.
     """
-    vague = np.diag([1e-2, 1e-2, 1e-2])  # 10 m, 10 rad: what no wall holds is left open
     information = fine.information(noise_shape(scan, view.store.geometry.bTl, view.noise_shares))
-    here = np.linalg.inv(information / view.variance_factor + vague)
+    here = np.linalg.inv(information / view.variance_factor + OPEN_AXES)
     A = adjoint(inverse(iTj))
     return np.asarray(here + A @ view.own_covariances[anchor] @ A.T, np.float64)
 

@@ -12,6 +12,7 @@ from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
 from rgslam.scan_matching.moving import PLACE_TOLERANCE, SeenScan, moving_points
 from rgslam.scan_matching.noise import BeamCorrelation, IncidenceNoise, noise_shape
 from rgslam.scan_matching.registration import (
+    OPEN_AXES,
     Registration,
     gate_schedule,
     line_residuals,
@@ -34,6 +35,7 @@ from rgslam.scan_matching.surfel_map import SurfelMap, Surfels, build_surfel_map
 __all__ = [
     "EDGE",
     "INVALID",
+    "OPEN_AXES",
     "PLACE_TOLERANCE",
     "POINT",
     "SURFACE",

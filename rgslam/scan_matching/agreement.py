@@ -47,7 +47,7 @@ def look(
         The first beam that ended there, else UNSEEN or THROUGH.
     """
     n = len(classes)
-    cl, sl = np.cos(polar[5]), np.sin(polar[5])
+    cl, sl = polar[5], polar[6]
     lx = cl * (x - polar[3]) + sl * (y - polar[4])
     ly = -sl * (x - polar[3]) + cl * (y - polar[4])
     rho = np.sqrt(lx * lx + ly * ly)

@@ -77,8 +77,11 @@ def _turned_cells(
     origin: FloatArray,
     shape: tuple[int, int],
     half_cells: int,
+    block: int,
 ) -> _TurnedCells:
     turns, n = 2 * half_turns + 1, len(points)
+    # Four blocks are read at a time, up to three of them for nothing, in the rows that follow
+    last_row = shape[0] - half_cells - (3 * block + shape[1] - 1) // shape[1]
     inner = np.zeros(turns, np.int64)
     flat, outer = np.empty((turns, n), np.int64), np.empty((turns, n, 2), np.int32)
     for t in range(turns):
@@ -90,9 +93,8 @@ def _turned_cells(
             y = centre[1] + s * points[i, 0] + c * points[i, 1]
             row = int(np.floor((y - origin[1]) / resolution))
             col = int(np.floor((x - origin[0]) / resolution))
-            # Two rows more, as four blocks are read at a time, up to three of them for nothing
-            stays = half_cells <= row < shape[0] - half_cells - 2
-            if stays and half_cells <= col < shape[1] - half_cells:
+            stays = half_cells <= row < last_row and half_cells <= col < shape[1] - half_cells
+            if stays:
                 flat[t, k] = row * shape[1] + col
                 k += 1
             else:
@@ -272,6 +274,7 @@ def _search(
     cells = _turned_cells(
         np.ascontiguousarray(points), np.asarray(centre, float), half_turns, turn,
         known.surfels.resolution, known.surfels.origin, known.surfels.nearest.shape, half_cells,
+        block,
     )  # fmt: skip
     lattice = (half_cells, block, turn, known.surfels.resolution, penalty)
     middle, fine = known.middle, known.fine

@@ -55,8 +55,8 @@ def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArra
     return np.maximum(end, max(start, end) * 0.6 ** np.arange(iterations))
 
 
-#: Keeps the system solvable along a featureless hallway: 10 m and 10 rad of vague knowledge.
-_VAGUE = np.diag([1e-2, 1e-2, 1e-2])
+#: Information (3, 3) of what no wall holds, as along a featureless hallway: 10 m and 10 rad.
+OPEN_AXES = np.diag([1e-2, 1e-2, 1e-2])
 #: The same for what is only looked at: 1 km.
 _NOTHING = np.diag([1e-6, 1e-6, 1e-6])
 
@@ -84,7 +84,7 @@ def register(
     Returns:
         The aligned pose with the information of the match without the prior.
     """
-    prior = _VAGUE if prior_information is None else prior_information + _VAGUE
+    prior = OPEN_AXES if prior_information is None else prior_information + OPEN_AXES
     guess = np.asarray(guess, float)
     mean = guess if prior_mean is None else np.asarray(prior_mean, float)
     return Registration(

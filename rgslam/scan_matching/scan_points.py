@@ -44,8 +44,10 @@ class LaserGeometry:
 
     @cached_property
     def polar(self) -> FloatArray:
-        """As kernels take it: angle_min, angle_step, full circle, bTl x, y, theta."""
-        return np.array([self.angle_min, self.angle_step, float(self.full_circle), *self.bTl])
+        """As kernels take it: angle_min, angle_step, full circle, bTl x, y, cos, sin of theta."""
+        x, y, theta = self.bTl
+        scanner = [self.angle_min, self.angle_step, float(self.full_circle)]
+        return np.array([*scanner, x, y, np.cos(theta), np.sin(theta)])
 
     @classmethod
     def from_scan(cls, scan: LaserScan) -> LaserGeometry:
