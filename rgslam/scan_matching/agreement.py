@@ -44,7 +44,7 @@ def look(
         tolerance: m, distance at which the place is still on a surface.
 
     Returns:
-        The first beam that ended there, else UNSEEN or THROUGH.
+        A beam that ended there, the nearest by its bearing, else UNSEEN or THROUGH.
     """
     n = len(classes)
     cl, sl = polar[5], polar[6]
@@ -58,11 +58,12 @@ def look(
     reach = int(np.ceil(tolerance / max(rho * abs(polar[1]), 1e-3)))
     reach = min(max(reach, 1), _REACH)
     through, seen = True, 0
-    for k in range(k0 - reach, k0 + reach + 1):
-        j = k
+    # From the middle outwards: what is there mostly ends the search at once
+    for step in range(2 * reach + 1):
+        j = k0 + (step + 1) // 2 * (1 - 2 * (step & 1))
         if polar[2] > 0.0:
-            j = k % n
-        elif k < 0 or k >= n:
+            j %= n
+        elif j < 0 or j >= n:
             continue
         if classes[j] == 0:
             continue

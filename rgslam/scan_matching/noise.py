@@ -13,8 +13,6 @@ far down a hallway, which tell the heading, know more than those beside the robo
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -69,20 +67,16 @@ class IncidenceNoise:
     """Tells the noise of walls from that of ranges by the angle at which beams met the walls."""
 
     def __init__(self) -> None:
-        self._sums: deque[FloatArray] = deque(maxlen=_KEYFRAMES)
+        self._sums = np.zeros((_KEYFRAMES, 5))  # of the newest keyframes
+        self._added = 0
         self.shares = (1.0, 0.0)  # variance of walls and of ranges, of their sum over all points
 
     def add(self, residuals: FloatArray, scan: ScanPoints, bTl: FloatArray, sigma: float) -> None:
         """Take the residuals (n,) of a scan, m; NaN where there is none."""
-        known = np.abs(residuals) < _ELSEWHERE * sigma
-        squares = incidence_squares(scan.points, scan.normals, scan.classes, bTl)[known]
-        errors = residuals[known] ** 2
-        self._sums.append(
-            np.array(
-                [len(errors), squares.sum(), (squares**2).sum(), errors.sum(), errors @ squares]
-            )
-        )
-        n, c, cc, v, vc = np.sum(self._sums, axis=0).tolist()
+        squares = incidence_squares(scan.points, scan.normals, scan.classes, bTl)
+        _sum_up(residuals, squares, _ELSEWHERE * sigma, self._sums[self._added % _KEYFRAMES])
+        self._added += 1
+        n, c, cc, v, vc = self._sums.sum(axis=0).tolist()
         if n < _FEW_POINTS or v <= 0.0:
             return
         # Least squares of v = wall + range c with none below zero
@@ -91,6 +85,20 @@ class IncidenceNoise:
         of_range = min(max(of_range, 0.0), vc / cc)
         mean = v / n
         self.shares = (max(v - of_range * c, 0.0) / n / mean, of_range / mean)
+
+
+@njit(cache=True, nogil=True)
+def _sum_up(residuals: FloatArray, squares: FloatArray, limit: float, sums: FloatArray) -> None:
+    """Number of residuals below a limit, sums of c, c^2, e^2 and c e^2 of them, into (5,)."""
+    sums[:] = 0.0
+    for i in range(len(residuals)):
+        if abs(residuals[i]) < limit:  # never of NaN
+            error = residuals[i] * residuals[i]
+            sums[0] += 1.0
+            sums[1] += squares[i]
+            sums[2] += squares[i] * squares[i]
+            sums[3] += error
+            sums[4] += error * squares[i]
 
 
 @njit(cache=True, nogil=True)
@@ -118,18 +126,38 @@ def noise_shape(scan: ScanPoints, bTl: FloatArray, shares: tuple[float, float]) 
         bTl: (3,), the laser on the robot.
         shares: of walls and of ranges, see `IncidenceNoise`.
     """
-    squares = incidence_squares(scan.points, scan.normals, scan.classes, bTl)
-    surface = scan.classes == SURFACE
-    (x, y), (nx, ny) = scan.points[surface].T, scan.normals[surface].T
-    J = np.column_stack([nx, ny, x * ny - y * nx])
-    factors = shares[0] + shares[1] * squares[surface]
-    alike, real = J.T @ J + _LITTLE, J.T @ (factors[:, None] * J) + _LITTLE
-    inverse = np.linalg.inv(np.linalg.cholesky(alike))
-    return np.asarray(inverse @ real @ inverse.T, np.float64)
+    alike, real = _scatters(scan.points, scan.normals, scan.classes, bTl, *shares)
+    inverse = np.linalg.inv(np.linalg.cholesky(alike + _LITTLE))
+    return np.asarray(inverse @ (real + _LITTLE) @ inverse.T, np.float64)
 
 
 #: A thousandth of a beam: keeps axes that no beam tells as they are.
 _LITTLE = 1e-3 * np.eye(3)
+
+
+@njit(cache=True, nogil=True)
+def _scatters(
+    points: FloatArray,
+    normals: FloatArray,
+    classes: npt.NDArray[np.uint8],
+    bTl: FloatArray,
+    wall: float,
+    along_beam: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Of the gradient (3, 3): if all beams erred alike, and as they do."""
+    squares = incidence_squares(points, normals, classes, bTl)
+    alike, real, J = np.zeros((3, 3)), np.zeros((3, 3)), np.empty(3)
+    for i in range(len(points)):
+        if classes[i] != SURFACE:
+            continue
+        J[0], J[1] = normals[i, 0], normals[i, 1]
+        J[2] = points[i, 0] * J[1] - points[i, 1] * J[0]
+        factor = wall + along_beam * squares[i]
+        for k in range(3):
+            for m in range(3):
+                alike[k, m] += J[k] * J[m]
+                real[k, m] += factor * J[k] * J[m]
+    return alike, real
 
 
 @njit(cache=True, nogil=True)
