@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import median
@@ -99,13 +100,27 @@ class LocalMatch:
         return cls(wTb, None, lambda: np.eye(3), 1.0, inliers, trusted, 1.0)
 
 
+@dataclass(frozen=True, eq=False)
+class _Around:
+    """What the newest keyframes saw."""
+
+    surfels: SurfelMap
+    lever: float  # m, distance of most surfaces around here
+
+
 class LocalMap:
-    """The surfels of the newest keyframes."""
+    """The surfels of the newest keyframes.
+
+    They are made beside what else a new keyframe needs, whose poses mostly stay as they are.
+    """
 
     def __init__(self, store: ScanStore, config: ScanMatchingConfig) -> None:
         self._store = store
         self._config = config
-        self._surfels: SurfelMap | None = None
+        self._builder = ThreadPoolExecutor(1, "local map")
+        self._around: Future[_Around] | None = None  # for the next scan
+        self._levels: Future[None] | None = None  # of its search
+        self._begun: tuple[FloatArray, Future[_Around]] | None = None
         self._residuals: deque[float] = deque(maxlen=_NOISE_MATCHES)
         self._correlation = BeamCorrelation()
         self.incidence = IncidenceNoise()
@@ -114,19 +129,30 @@ class LocalMap:
         self._inliers: deque[float] = deque(maxlen=_NOISE_MATCHES)
         self._usual_inliers = 1.0  # what scans have here; nothing is usual yet
         self._reach = 4.0 * config.resolution  # m, first gate: registration finds no farther
-        self._lever = 0.0  # m, distance of most surfaces around here
         self._gates = gate_schedule(self._reach, _FIRST_SIGMA)
         self.sigma = _FIRST_SIGMA  # m, of a point across its line, as the matches show it
+
+    def begin(self, poses: FloatArray) -> Future[_Around]:
+        """Start to put the newest keyframes together at these poses (K, 3), in the background."""
+        first = max(0, len(poses) - self._config.local_keyframes)
+        around = self._builder.submit(self._put_together, first, poses[first:])
+        self._begun = (poses, around)
+        return around
+
+    def _put_together(self, first: int, poses: FloatArray) -> _Around:
+        recent = self._store.in_world(np.arange(first, first + len(poses)), poses)
+        known = build_surfel_map(*recent, self._config.resolution)
+        # Column by column: NumPy reduces the long axis of a narrow array slowly
+        x, y = np.abs(known.surfels.points - poses[-1, :2]).T
+        return _Around(known, float(np.median(np.maximum(x, y))))
 
     def rebuild(self, poses: FloatArray) -> None:
         """Take the newest keyframes at these poses (K, 3), after a new one or an optimisation."""
         self._learn_noise()
-        first = max(0, len(poses) - self._config.local_keyframes)
-        recent = self._store.in_world(np.arange(first, len(poses)), poses[first:])
-        self._surfels = build_surfel_map(*recent, self._config.resolution)
-        # Column by column: NumPy reduces the long axis of a narrow array slowly
-        x, y = np.abs(self._surfels.surfels.points - poses[-1, :2]).T
-        self._lever = float(np.median(np.maximum(x, y)))
+        begun = self._begun if self._begun and self._begun[0] is poses else None
+        around = self._around = begun[1] if begun else self.begin(poses)
+        # Most maps are searched, and the next scan does not come to that at once
+        self._levels = self._builder.submit(lambda: around.result().surfels.make_levels())
 
     def match(
         self,
@@ -174,10 +200,10 @@ class LocalMap:
 
     def learn(self, scan: ScanPoints, wTb: FloatArray) -> None:
         """Take a scan that becomes a keyframe as a sample of how beams err."""
-        if self._surfels is None:
+        if self._around is None:
             return
         residuals = line_residuals(
-            wTb, scan.points, scan.normals, scan.classes, self._surfels.surfels,
+            wTb, scan.points, scan.normals, scan.classes, self._known().surfels,
             float(self._gates[-1]),
         )  # fmt: skip
         self._correlation.add(residuals)
@@ -245,7 +271,7 @@ class LocalMap:
     def _within_reach(self, moved: FloatArray) -> bool:
         """Whether a correction moves most of what is seen by clearly less than the gate."""
         x, y, turn = moved.tolist()
-        return math.hypot(x, y) + self._lever * abs(turn) < _WELL_WITHIN * self._reach
+        return math.hypot(x, y) + self._seen().lever * abs(turn) < _WELL_WITHIN * self._reach
 
     def _register(
         self, scan: ScanPoints, guess: FloatArray, prediction: FloatArray, information: FloatArray
@@ -261,6 +287,8 @@ class LocalMap:
         cell = self._config.resolution
         # Wheels may slip or count backwards: as far behind as odometry goes ahead is looked at too
         way = float(np.hypot(motion.bTc[0], motion.bTc[1]))
+        if self._levels is not None:
+            self._levels.result()
         return correlate(
             self._known(),
             thinned(scan.points[scan.classes >= SURFACE], 2.0 * cell),
@@ -275,9 +303,12 @@ class LocalMap:
         ).wTb
 
     def _known(self) -> SurfelMap:
-        if self._surfels is None:
+        return self._seen().surfels
+
+    def _seen(self) -> _Around:
+        if self._around is None:
             raise RuntimeError("match() before the first rebuild()")
-        return self._surfels
+        return self._around.result()
 
     def _learn_noise(self) -> None:
         """The noise of the scanner and of the walls is what good matches leave over."""

@@ -279,6 +279,7 @@ class Mapper:
         number = self._store.append(points)
         self._poses = np.vstack([self._poses, self._wTb])
         if number:
+            self._local_map.begin(self._poses)
             self._local_map.learn(points, self._wTb)
             self._learn_wheels(match)
             wheels = np.asarray(np.linalg.inv(self._since_keyframe), np.float64)

@@ -47,7 +47,7 @@ class MatchEdges:
 
     def __init__(self) -> None:
         self._matched: list[_Matched] = []  # by keyframe, without the first
-        self._covariances: list[FloatArray] = []  # of their own errors
+        self._own = np.zeros((64, 3, 3))  # covariances of their own errors, and room for more
         self._first: list[PoseEdge] | None = []  # None: the noise is known
 
     def add(self, laser: FloatArray, wheels: FloatArray, noise: float) -> None:
@@ -59,12 +59,17 @@ class MatchEdges:
             noise: m^2, variance of a beam that the match was told.
         """
         self._matched.append(_Matched(laser, wheels, noise))
-        self._covariances.append(self._matched[-1].covariance)
+        count = len(self._matched)
+        if count == len(self._own):
+            self._own = np.concatenate([self._own, np.zeros_like(self._own)])
+        self._own[count] = self._matched[-1].covariance
+        if count == 1:
+            self._own[0] = self._own[1]
 
     @property
     def own_covariances(self) -> FloatArray:
         """Covariances (K, 3, 3) of the keyframes' own errors; the first errs as the second does."""
-        return np.array([*self._covariances[:1], *self._covariances])
+        return self._own[: len(self._matched) + 1]
 
     def laser_information(self, i: int, iTj: FloatArray, laser: FloatArray) -> FloatArray:
         """What the laser says of the way from a keyframe to a scan, (3, 3), tangent at the scan.
@@ -75,7 +80,7 @@ class MatchEdges:
             laser: (3, 3), information of the scan's match.
         """
         here = _inverse(laser + OPEN_AXES)
-        there = self._covariances[max(i - 1, 0)] if self._covariances else here
+        there = self._own[i] if self._matched else here
         A = adjoint(inverse(iTj))
         return _inverse(_LEFT * (here + A @ there @ A.T))
 
@@ -110,7 +115,10 @@ class MatchEdges:
             replace(known, laser=known.laser * (known.noise / noise), noise=noise)
             for known in self._matched
         ]
-        self._covariances = [known.covariance for known in self._matched]
+        self._own = self._own.copy()  # a search under way goes on with what it was told
+        for k, known in enumerate(self._matched, start=1):
+            self._own[k] = known.covariance
+        self._own[0] = self._own[1]
         count = Counter(edge.j for edge in before)
         after = [
             replace(edge, covariance=self._covariance(edge.i, edge.j, edge.iTj, count[edge.j]))

@@ -8,8 +8,7 @@ constant time, and the likelihood of a return there for the correlative search.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -47,25 +46,39 @@ class SurfelMap:
     """Surfels with their lookup grids. What only a search needs is made when one comes."""
 
     surfels: Surfels
+    # By their block; no cached properties, as all maps of all threads would share one lock
+    _levels: dict[int, npt.NDArray[np.uint8]] = field(default_factory=dict)
 
-    @cached_property
+    @property
     def fine(self) -> npt.NDArray[np.uint8]:
         """(H, W), likelihood 0..255 of a return in a cell."""
-        return self._stamped(BLOCKS[2])
+        return self._level(BLOCKS[2])
 
-    @cached_property
+    @property
     def middle(self) -> npt.NDArray[np.uint8]:
         """(H, W), the most that any of 4 x 4 cells has."""
-        if self._is_sparse(BLOCKS[1]):
-            return self._stamped(BLOCKS[1])
-        return _pool(self.fine, BLOCKS[1], 1)
+        return self._level(BLOCKS[1])
 
-    @cached_property
+    @property
     def coarse(self) -> npt.NDArray[np.uint8]:
         """(H, W), the most that any of 16 x 16 cells has."""
-        if self._is_sparse(BLOCKS[0]):
-            return self._stamped(BLOCKS[0])
-        return _pool(self.middle, BLOCKS[0] // BLOCKS[1], BLOCKS[1])
+        return self._level(BLOCKS[0])
+
+    def make_levels(self) -> None:
+        """Those that a search needs, whatever its window."""
+        self._level(BLOCKS[2])
+        self._level(BLOCKS[1])
+
+    def _level(self, block: int) -> npt.NDArray[np.uint8]:
+        if block not in self._levels:
+            self._levels[block] = self._made(block)
+        return self._levels[block]
+
+    def _made(self, block: int) -> npt.NDArray[np.uint8]:
+        if block == BLOCKS[2] or self._is_sparse(block):
+            return self._stamped(block)
+        finer = BLOCKS[BLOCKS.index(block) + 1]
+        return _pool(self._level(finer), block // finer, finer)
 
     def _is_sparse(self, block: int) -> bool:
         """Whether the surfels reach fewer cells than there are: halls, or stray returns far off."""
