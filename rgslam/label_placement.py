@@ -18,6 +18,7 @@ import shapely
 from rgslam.types import FloatArray
 
 _GAP_PX = 2.0  # kept free around a label
+_AT_A_TIME = 32  # candidates
 _RING_PX = 6.0  # between the rings of candidates; half a letter's height
 
 
@@ -64,10 +65,14 @@ class LabelPlacer:
         polygon = _area(np.ascontiguousarray(outline, float).tobytes())
         centres = centres[shapely.contains_xy(polygon, centres)]
         boxes = _boxes(centres, size)
-        inside = self._on_picture(boxes) & shapely.contains(polygon, shapely.box(*boxes.T))
-        centres, boxes = centres[inside], boxes[inside]
-        free = np.flatnonzero(self._overlaps(boxes) == 0.0)
-        return self._placed(centres[free[0]], boxes[free[0]], 0.0) if len(free) else None
+        free = np.flatnonzero(self._on_picture(boxes) & (self._overlaps(boxes) == 0.0))
+        # A few at a time, the nearest first: what is inside is costly to ask
+        for first in range(0, len(free), _AT_A_TIME):
+            some = free[first : first + _AT_A_TIME]
+            inside = some[shapely.contains(polygon, shapely.box(*boxes[some].T))]
+            if len(inside):
+                return self._placed(centres[inside[0]], boxes[inside[0]], 0.0)
+        return None
 
     def place_near(
         self,
