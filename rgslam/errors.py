@@ -41,3 +41,16 @@ class CalibrationError(RgslamError):
 
 class MissingExtraError(RgslamError):
     """An optional dependency is needed and not installed."""
+
+
+class IndeterminateError(RgslamError):
+    """Nothing that was measured tells where something of the factor graph is."""
+
+    def __init__(self, variable: str) -> None:
+        """Name it.
+
+        Args:
+            variable: letter and number, as `rgslam.factor_graph` names it.
+        """
+        super().__init__(f"nothing that was measured tells the value of {variable!r} in the graph")
+        self.variable = variable

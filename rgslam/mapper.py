@@ -398,8 +398,11 @@ class Mapper:
     def landmarks(self) -> tuple[RectangleState, ...]:
         """The rectangles seen often enough so far, by iSAM2.
 
-        Asked again, only what came since is added: cheap at any time of the run. `map` knows a
-        little more, as it looks at all sights again.
+        Asked again, only what came since is added, and all is solved together from there: a step or
+        two of the batch. `map` knows a little more, as it decides anew which sight is of what.
+
+        Raises:
+            IndeterminateError: nothing tells where a keyframe is.
         """
         from rgslam.fusion.online import OnlineFusion
 

@@ -32,6 +32,7 @@ from rgslam.factor_graph.camera_mount import (
     mount_values,
     prior_sigmas,
 )
+from rgslam.factor_graph.elimination import marginals, most_likely
 from rgslam.factor_graph.rectangle_shape import RectangleKeys, shape_factors, shape_values
 from rgslam.factor_graph.stereo_corners import StereoCorners
 from rgslam.types import CameraMount, EdgeKind, FloatArray, PoseEdge
@@ -265,17 +266,16 @@ class JointGraph:
     # --- Estimates ---------------------------------------------------------------------------
 
     def optimise(self, start: gtsam.Values | None = None, tolerance: float = 1e-6) -> gtsam.Values:
-        """The most likely values, by Powell's dog leg.
+        """The most likely values.
 
         Args:
             start: where from; None: where the variables were started.
             tolerance: relative change of the error at which to stop.
+
+        Raises:
+            IndeterminateError: a variable is held by nothing.
         """
-        parameters = gtsam.DoglegParams()
-        parameters.setRelativeErrorTol(tolerance)
-        parameters.setMaxIterations(50)
-        values = self.initial if start is None else start
-        return gtsam.DoglegOptimizer(self.factors, values, parameters).optimize()
+        return most_likely(self.factors, self.initial if start is None else start, tolerance)
 
 
 class JointMarginals:
@@ -285,7 +285,7 @@ class JointMarginals:
         """Eliminate the graph at `values`."""
         self._values = values
         self._mounted = graph.mounted if graph.config.calibrate else ()
-        self._marginals = gtsam.Marginals(graph.factors, values)
+        self._marginals = marginals(graph.factors, values)
 
     def planar_pose(self, key: int) -> FloatArray:
         """Covariance (3, 3) of a pose on the floor, in its own frame: x, y, theta."""
@@ -330,9 +330,9 @@ class JointMarginals:
         return joint_covariance(self._marginals, keys)
 
 
-def joint_covariance(marginals: gtsam.Marginals | gtsam.ISAM2, keys: Sequence[int]) -> FloatArray:
+def joint_covariance(known: gtsam.Marginals | gtsam.ISAM2, keys: Sequence[int]) -> FloatArray:
     """Covariance (n, n) of some variables together, in the order of their keys."""
-    joint = marginals.jointMarginalCovariance(list(keys))
+    joint = known.jointMarginalCovariance(list(keys))
     covariance = np.block([[joint.at(a, b) for b in keys] for a in keys])
     return 0.5 * (covariance + covariance.T)
 

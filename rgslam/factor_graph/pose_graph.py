@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from rgslam.factor_graph.elimination import marginals
 from rgslam.geometry import between
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
@@ -103,8 +104,8 @@ class PoseGraph:
 
     def covariances(self, poses: FloatArray) -> FloatArray:
         """Marginal covariances (K, 3, 3) at `poses`, in each keyframe's own frame: x, y, theta."""
-        marginals = gtsam.Marginals(self._robust, self._values_of(poses))
-        return np.array([marginals.marginalCovariance(X(k)) for k in range(len(poses))])
+        known = marginals(self._robust, self._values_of(poses))
+        return np.array([known.marginalCovariance(X(k)) for k in range(len(poses))])
 
 
 def mahalanobis(edges: Sequence[PoseEdge], poses: FloatArray) -> FloatArray:

@@ -26,6 +26,10 @@ SHAPE_SIGMA = 5e-4
 #: m, an equation that holds; far below what corners may be off, and no strain on double precision.
 _EXACT = 1e-5
 
+#: Letters of the variables.
+_CORNERS, _FRAME, _HALF_SIZE, _LOCAL_CORNERS = "abcd", "r", "s", "tuvw"
+_LETTERS = _CORNERS + _FRAME + _HALF_SIZE + _LOCAL_CORNERS
+
 
 @dataclass(frozen=True)
 class RectangleKeys:
@@ -41,11 +45,16 @@ class RectangleKeys:
         """Of the rectangle of that number."""
         symbol = gtsam.symbol
         return cls(
-            tuple(int(symbol(name, number)) for name in "abcd"),
-            int(symbol("r", number)),
-            int(symbol("s", number)),
-            tuple(int(symbol(name, number)) for name in "tuvw"),
+            tuple(int(symbol(name, number)) for name in _CORNERS),
+            int(symbol(_FRAME, number)),
+            int(symbol(_HALF_SIZE, number)),
+            tuple(int(symbol(name, number)) for name in _LOCAL_CORNERS),
         )
+
+
+def rectangle_of(variable: str) -> int | None:
+    """Number of the rectangle that a variable is of, by its name; None: of none."""
+    return int(variable[1:]) if variable[0] in _LETTERS else None
 
 
 def shape_factors(keys: RectangleKeys) -> gtsam.NonlinearFactorGraph:

@@ -12,6 +12,7 @@ import gtsam
 
 from rgslam.config import Config
 from rgslam.data_association import FramePose, RectangleState, Track
+from rgslam.errors import IndeterminateError
 from rgslam.factor_graph.joint_graph import (
     JointGraph,
     JointMarginals,
@@ -21,6 +22,7 @@ from rgslam.factor_graph.joint_graph import (
     keyframe_poses,
     spatial,
 )
+from rgslam.factor_graph.rectangle_shape import rectangle_of
 from rgslam.factor_graph.region_factors import (
     axis_factor,
     axis_key,
@@ -94,8 +96,9 @@ def solve(
 
         # Solve, take out what does not fit, solve again
         for _ in range(_ROUNDS):
-            graph = build_graph(start, edges, frames, poses, tracks, config)
-            values = graph.optimise()
+            graph, values, tracks = _solved_tracks(
+                start, edges, frames, poses, tracks, config, counts
+            )
             poses = _remounted(poses, frames, graph, values)
             kept = consistent_tracks(values, poses, tracks, section, counts)
             if sight_count(kept) == sight_count(tracks):
@@ -112,6 +115,29 @@ def solve(
         return solution
     # Where beams ended on landmarks tells their planes
     return _with_planes(solution, scans)
+
+
+def _solved_tracks(
+    keyframes: FloatArray,
+    edges: Sequence[PoseEdge],
+    frames: Sequence[PlacedFrame],
+    poses: Sequence[FramePose],
+    tracks: Sequence[Track],
+    config: Config,
+    counts: Counter[str],
+) -> tuple[JointGraph, gtsam.Values, list[Track]]:
+    """The joint graph of those tracks whose sights tell where they are, solved."""
+    tracks = list(tracks)
+    while True:
+        graph = build_graph(keyframes, edges, frames, poses, tracks, config)
+        try:
+            return graph, graph.optimise(), tracks
+        except IndeterminateError as error:
+            number = rectangle_of(error.variable)
+            if number is None:
+                raise
+            del tracks[number]
+            counts["landmarks retired: undetermined"] += 1
 
 
 def _remounted(

@@ -2,6 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Landmarks while the run goes on: the factors of `rgslam.fusion.batch`, solved by iSAM2.
 
+iSAM2 linearises every variable when it moved far enough, each at a time of its own. That is near
+enough to go on with; asked, everything is solved together from there, in a step or two of the
+batch, and iSAM2 goes on from that.
+
 What was decided stays decided: a sight given to a track is not given to another one later, as
 `fuse_landmarks` does at the end with everything known.
 """
@@ -17,6 +21,7 @@ import numpy as np
 from rgslam.config import Config
 from rgslam.data_association import DataAssociation, FramePose, RectangleState, Track
 from rgslam.factor_graph.camera_mount import left_key
+from rgslam.factor_graph.elimination import determined, most_likely, qr_parameters
 from rgslam.factor_graph.joint_graph import (
     JointGraph,
     MountedCameras,
@@ -47,6 +52,7 @@ class OnlineFusion:
         """Nothing known yet."""
         self.config = Config() if config is None else config
         self._isam = gtsam.ISAM2(_parameters())
+        self._settled = True  # no factor is newer than the last common solution
         self._association = DataAssociation(self.config.data_association)
         self._edges: dict[int, tuple[PoseEdge, int]] = {}  # by identity: edge, place in iSAM2
         self._table = EdgeTable()
@@ -78,10 +84,15 @@ class OnlineFusion:
 
     def landmarks(self) -> tuple[RectangleState, ...]:
         """The rectangles seen often enough, in the order in which they were."""
+        self._settle()
         return tuple(self._state(number) for number in range(len(self._numbers)))
 
     def keyframes(self) -> FloatArray:
         """Poses (K, 3) of the keyframes, wTb."""
+        self._settle()
+        return self._keyframe_poses()
+
+    def _keyframe_poses(self) -> FloatArray:
         return np.array([self._keyframe(k) for k in range(self._keyframes)]).reshape(-1, 3)
 
     def mounts(self) -> tuple[CameraMount, ...]:
@@ -128,13 +139,33 @@ class OnlineFusion:
     def _solve(self, graph: JointGraph, last: int, gone: Sequence[int] = ()) -> gtsam.ISAM2Result:
         """Update with what is new, and without the factors at some places.
 
-        GTSAM takes a clique for indeterminate whose last direction is 4,000 times less certain than
-        the one before: a frame far from the origin, that of a rectangle above all. Of a pose, the
-        last one is its height, which the floor holds: so a pose goes last.
+        The newest keyframe goes last: what comes next hangs on it.
+
+        Raises:
+            IndeterminateError: a variable is held by nothing.
         """
         groups = gtsam.KeyGroupMap()
         groups.insert2(last, 1)
-        return self._isam.update(graph.factors, graph.initial, list(gone), groups)
+        self._settled = False
+        return determined(
+            lambda: self._isam.update(graph.factors, graph.initial, list(gone), groups)
+        )
+
+    def _settle(self) -> None:
+        """Solve everything together, and go on from there."""
+        if self._settled:
+            return
+        old, factors = self._isam.getFactorsUnsafe(), gtsam.NonlinearFactorGraph()
+        places: dict[int, int] = {}  # in the old iSAM2 -> in the new one
+        for place in range(old.size()):
+            if old.exists(place):  # others were taken back
+                places[place] = factors.size()
+                factors.add(old.at(place))
+        values = most_likely(factors, self._isam.calculateBestEstimate())
+        self._isam = gtsam.ISAM2(_parameters())
+        determined(lambda: self._isam.update(factors, values))
+        self._edges = {key: (edge, places[place]) for key, (edge, place) in self._edges.items()}
+        self._settled = True
 
     def _add_frame(self, number: int, frame: PlacedFrame) -> None:
         self._frames.append(frame)
@@ -142,7 +173,7 @@ class OnlineFusion:
             return
         at = self._keyframe(frame.keyframe)
         pose = frame_pose(frame, at, self._mounts(frame))
-        relative = seen_from(self._table, pose, self.keyframes())
+        relative = seen_from(self._table, pose, self._keyframe_poses())
         sights = sights_of(number, frame, pose)
         given = self._association.add_frame(pose, sights, relative)
         graph = JointGraph(self.config.factor_graph, self._cameras)
@@ -216,13 +247,16 @@ class OnlineFusion:
 
 
 def _parameters() -> gtsam.ISAM2Params:
-    """Of iSAM2: linearise at every step what moved far enough."""
+    """Of iSAM2: linearise at every step what moved far enough.
+
+    By QR, as it cannot be solved otherwise on the way where Cholesky is not precise enough.
+    """
     thresholds = gtsam.ISAM2ThresholdMap()
     for kind in "xfrmn":  # poses
         thresholds.insert((kind, np.repeat([_TURNED, _MOVED], 3)))
     for kind in "abcdtuvws":  # points
         thresholds.insert((kind, np.full(3, _MOVED)))
-    parameters = gtsam.ISAM2Params()
+    parameters = qr_parameters()
     parameters.relinearizeSkip = 1
     parameters.setRelinearizeThreshold(thresholds)
     return parameters

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from rgslam.factor_graph.elimination import marginals
 from rgslam.factor_graph.joint_graph import JointGraph, frame_key, joint_covariance
 from rgslam.fusion import Solution
 from rgslam.types import FloatArray
@@ -43,7 +44,7 @@ def leave_one_out(solution: Solution, landmarks: Sequence[int] | None = None) ->
         solution: of `rgslam.fusion.solve`, with the cameras where they are given.
         landmarks: numbers of the landmarks; None: all of them.
     """
-    marginals = gtsam.Marginals(solution.graph.factors, solution.values)
+    known = marginals(solution.graph.factors, solution.values)
     chosen = range(len(solution.tracks)) if landmarks is None else landmarks
     checks = []
     for number in chosen:
@@ -53,20 +54,22 @@ def leave_one_out(solution: Solution, landmarks: Sequence[int] | None = None) ->
             at = solution.frames[sight.frame].observations
             corners = sight.corners.turned(turns)
             seen.add_sight(frame_key(sight.frame), number, corners, at.camera, at.bTc)
-            distance, freedom = _foretold(seen.factors, solution.values, marginals)
+            distance, freedom = _foretold(seen.factors, solution.values, known)
             checks.append(SightCheck(number, sight.frame, distance, freedom))
     return checks
 
 
 def _foretold(
-    factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, marginals: gtsam.Marginals
+    factors: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    others: gtsam.Marginals | gtsam.ISAM2,
 ) -> tuple[float, int]:
     """Squared distance of some factors from what all others foretell, and its freedom."""
     keys, order = list(factors.keyVector()), gtsam.Ordering()
     for key in keys:
         order.push_back(key)
     slopes, off = factors.linearize(values).jacobian(order)  # in standard deviations: R = 1
-    known = joint_covariance(marginals, keys)
+    known = joint_covariance(others, keys)
     left, axes = np.linalg.eigh(np.eye(len(off)) - slopes @ known @ slopes.T)
     foretold = left > _LEAST_LEFT
     along: FloatArray = axes[:, foretold].T @ off
