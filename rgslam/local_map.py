@@ -28,6 +28,7 @@ from rgslam.scan_matching import (
     build_surfel_map,
     correlate,
     gate_schedule,
+    inverted,
     line_residuals,
     noise_shape,
     register,
@@ -72,7 +73,7 @@ class Motion:
     @cached_property
     def information(self) -> FloatArray:
         """(3, 3), the inverse."""
-        return np.asarray(np.linalg.inv(self.covariance), np.float64)
+        return inverted(self.covariance)
 
 
 @dataclass(frozen=True, eq=False)

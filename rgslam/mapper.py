@@ -34,6 +34,7 @@ from rgslam.scan_matching import (
     LaserGeometry,
     ScanPoints,
     ScanStore,
+    inverted,
     scan_points,
 )
 from rgslam.stage_clock import StageClock
@@ -282,8 +283,9 @@ class Mapper:
             self._local_map.begin(self._poses)
             self._local_map.learn(points, self._wTb)
             self._learn_wheels(match)
-            wheels = np.asarray(np.linalg.inv(self._since_keyframe), np.float64)
-            self._matches.add(match.information, wheels, self._local_map.noise)
+            self._matches.add(
+                match.information, inverted(self._since_keyframe), self._local_map.noise
+            )
             far = self._local_map.farthest_in_sight(points, self._poses) if match.trusted else None
             edges = self._matches.edges(self._poses, far)
             self._graph.add(edges)
@@ -306,8 +308,7 @@ class Mapper:
         information = self._matches.laser_information(
             len(self._poses) - 2, laser, match.information
         )
-        covariance = np.asarray(np.linalg.inv(information), np.float64)
-        self._wheels.learn(between(self._keyframe_oTb, oTb), laser, covariance)
+        self._wheels.learn(between(self._keyframe_oTb, oTb), laser, inverted(information))
 
     def _restate_first_edges(self) -> None:
         if not self._matches.provisional or not self._local_map.noise_known:

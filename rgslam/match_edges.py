@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rgslam.geometry import adjoint, between, inverse
-from rgslam.scan_matching import OPEN_AXES
+from rgslam.scan_matching import OPEN_AXES, inverted
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
 #: Share of the two errors that is in the way between them. Both would be, if the two were matched
@@ -39,7 +39,7 @@ class _Matched:
     @property
     def covariance(self) -> FloatArray:
         """Covariance (3, 3) of its own error; where no wall holds it, the wheels do."""
-        return _inverse(self.laser + self.wheels)
+        return inverted(self.laser + self.wheels)
 
 
 class MatchEdges:
@@ -79,10 +79,10 @@ class MatchEdges:
             iTj: (3,), the way.
             laser: (3, 3), information of the scan's match.
         """
-        here = _inverse(laser + OPEN_AXES)
+        here = inverted(laser + OPEN_AXES)
         there = self._own[i] if self._matched else here
         A = adjoint(inverse(iTj))
-        return _inverse(_LEFT * (here + A @ there @ A.T))
+        return inverted(_LEFT * (here + A @ there @ A.T))
 
     def edges(self, poses: FloatArray, far: int | None) -> list[PoseEdge]:
         """Edges of the newest keyframe to its neighbour and to the oldest in sight.
@@ -136,8 +136,4 @@ class MatchEdges:
         laser = self.laser_information(i, iTj, known.laser)
         # Laser and wheels since the last keyframe are independent evidence: both count
         rest = known.wheels if j - i == 1 else OPEN_AXES
-        return _inverse(laser * (_OF_TWO if edges == 2 else 1.0) + rest)
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(matrix), np.float64)
+        return inverted(laser * (_OF_TWO if edges == 2 else 1.0) + rest)

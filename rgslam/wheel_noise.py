@@ -56,10 +56,7 @@ class WheelNoise:
         """Covariance (3, 3) of a corrected motion, in the tangent space at its end."""
         x, y, turn = motion.tolist()
         way, turn = math.hypot(x, y), abs(turn)
-        along, across, heading = (
-            way * metre + turn * radian for metre, radian in zip(*self.rates.tolist(), strict=True)
-        )
-        return np.array([[along, 0.0, 0.0], [0.0, across, 0.0], [0.0, 0.0, heading]])
+        return np.diag(way * self.rates[0] + turn * self.rates[1])
 
     def learn(self, wheels: FloatArray, laser: FloatArray, covariance: FloatArray) -> None:
         """Take the motion between two keyframes.

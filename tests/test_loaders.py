@@ -22,8 +22,9 @@ from rgslam import open_recording
 from rgslam.errors import RecordingError
 from rgslam.geometry import compose
 from rgslam.loaders.byte_stream import LineStream
-from rgslam.loaders.carmen_records import parse_flaser, parse_numbers
+from rgslam.loaders.carmen_records import parse_flaser
 from rgslam.loaders.carmen_survey import pile_at_the_top
+from rgslam.loaders.decimal_text import parse_numbers
 from rgslam.loaders.odometry_interpolation import with_odometry
 from rgslam.types import LaserScan, Odometry
 

@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from rgslam.loaders.decimal_text import parse_numbers
 from rgslam.types import FloatArray
 
 
@@ -44,6 +43,9 @@ def parse_flaser(line: bytes) -> ScanRecord:
     Raises:
         ValueError: fields are missing, too many, or no numbers.
     """
+    # Loads a compiler, while a packed log is unpacked already
+    from rgslam.loaders.decimal_text import parse_numbers
+
     _, count, rest = line.split(None, 2)
     n = _beams(count)
     ranges, *tail = rest.rsplit(None, 9)

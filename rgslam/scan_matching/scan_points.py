@@ -203,8 +203,13 @@ def _points_and_normals(
             if located:
                 classes[i] = 3
             continue
-        angle = 0.5 * np.arctan2(2.0 * cxy, cxx - cyy)  # direction of the wall
-        nx, ny = -np.sin(angle), np.cos(angle)
+        # Across the wall, whose direction is half the angle of (cxx - cyy, 2 cxy)
+        if cxx > cyy:
+            ny = np.sqrt(0.5 + 0.25 * (cxx - cyy) / root)
+            nx = -0.5 * cxy / (root * ny)
+        else:
+            nx = -np.sqrt(0.5 - 0.25 * (cxx - cyy) / root)
+            ny = -0.5 * cxy / (root * nx)
         toward = nx * (bTl[0] - points[i, 0]) + ny * (bTl[1] - points[i, 1])
         if toward < 0.0:
             nx, ny, toward = -nx, -ny, -toward
