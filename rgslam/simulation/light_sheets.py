@@ -31,6 +31,11 @@ class Sheets:
     place: FloatArray  # (m, 2), of each piece's corner on its sheet, m
 
     @property
+    def normals(self) -> FloatArray:
+        """(s, 3), unit vectors, w."""
+        return np.cross(self.axes[:, 0], self.axes[:, 1])
+
+    @property
     def area(self) -> float:
         """Of all sheets, m^2."""
         return float(self.sizes.prod(axis=1).sum())
@@ -50,8 +55,7 @@ def sheets_of(pieces: list[Piece]) -> Sheets:
     """Put pieces of the same plane and direction together that touch."""
     planes = defaultdict(list)
     for i, piece in enumerate(pieces):
-        normal = np.cross(piece.across, piece.up)
-        height = float(normal @ piece.corner)
+        height = float(piece.normal @ piece.corner)
         plane = np.round([*piece.across, *piece.up, height], 3)  # a millimetre, or over a metre
         planes[tuple(plane.tolist())].append(i)
     groups = [group for members in planes.values() for group in _beside(members, pieces)]

@@ -87,7 +87,7 @@ def _known(pieces: list[Piece], lighting: Lighting) -> _Pieces:
     own = [lighting.daylight if p.finish is Finish.SKY else 0.0 for p in pieces]
     tones = [0.0 if p.finish in (Finish.SKY, Finish.LAMP) else p.tone for p in pieces]
     return _Pieces(
-        normals=np.array([np.cross(p.across, p.up) for p in pieces]),
+        normals=np.array([p.normal for p in pieces]),
         sheets=sheets_of(pieces),
         returns=np.array([*tones, 0.0]),
         gives=np.array([*own, 0.0]),
@@ -98,8 +98,7 @@ def _straight(
     grid: Grid, known: _Pieces, pieces: list[Piece], scene: RayScene, lighting: Lighting
 ) -> FloatArray:
     """Light (n,) that does not come from surfaces."""
-    axes = known.sheets.axes
-    normals = np.cross(axes[:, 0], axes[:, 1])[grid.owner]
+    normals = known.sheets.normals[grid.owner]
     return lighting.ambient + _from_lamps(pieces, grid.points, normals, scene, lighting)
 
 
@@ -196,7 +195,7 @@ def _looks(
         what it sees, it sees from behind.
     """
     directions, sheets = _half_space(), known.sheets
-    normals = np.cross(sheets.axes[:, 0], sheets.axes[:, 1])
+    normals = sheets.normals
     axes = sheets.axes / sheets.sizes[..., None]
     for start in range(0, len(grid.points), _CHUNK):
         part = slice(start, min(start + _CHUNK, len(grid.points)))

@@ -158,7 +158,7 @@ def mesh_of_pieces(pieces: list[Piece]) -> tuple[FloatArray, IntArray]:
 
 def _as_paint(pieces: list[Piece], scene: RayScene, world: World) -> Paint:
     return Paint(
-        frames=np.array([[p.corner, p.across, p.up, np.cross(p.across, p.up)] for p in pieces]),
+        frames=np.array([[p.corner, p.across, p.up, p.normal] for p in pieces]),
         numbers=np.array(
             [[*p.size, p.tone, p.border, p.border_tone, p.detail, p.seam] for p in pieces],
             float,

@@ -91,7 +91,7 @@ def _probes(named: list[tuple[int, Piece]]) -> _Probes:
     return _Probes(
         pieces=np.array([i for i, _ in named], np.int64),
         corners=np.array([p.rectangle.corners for p in pieces]).reshape(-1, 4, 3),
-        normals=np.array([np.cross(p.across, p.up) for p in pieces]).reshape(-1, 3),
+        normals=np.array([p.normal for p in pieces]).reshape(-1, 3),
         inner=on_pieces(inner * size),
         edge=on_pieces(np.clip(edge * size, _INSET, size - _INSET)),
     )

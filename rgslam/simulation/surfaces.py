@@ -91,10 +91,15 @@ class Piece:
     cuboid: str | None = None
 
     @property
+    def normal(self) -> FloatArray:
+        """Unit vector (3,), w, to where it is seen from."""
+        return np.cross(self.across, self.up)
+
+    @property
     def rectangle(self) -> TruthRectangle:
         """This piece as a rectangle of the truth."""
         wTr = np.eye(4)
-        wTr[:3, :3] = np.column_stack([self.across, self.up, np.cross(self.across, self.up)])
+        wTr[:3, :3] = np.column_stack([self.across, self.up, self.normal])
         wTr[:3, 3] = self.corner + (self.across * self.size[0] + self.up * self.size[1]) / 2.0
         return TruthRectangle(self.name, self.label, wTr, self.size, self.cuboid)
 
@@ -184,7 +189,7 @@ def _sides(solid: Solid, finish: Finish, tone: float) -> Iterator[Piece]:
 def _contact(solid: Solid) -> Iterator[Piece]:
     """Strips of dark floor around what stands on it; too narrow for cells of the light."""
     for side in _sides(solid, Finish.PLAIN, _CONTACT_TONE):
-        outward = np.cross(side.across, side.up)
+        outward = side.normal
         yield replace(
             side,
             corner=side.corner + outward * _CONTACT + _PROUD * side.up,
@@ -332,8 +337,7 @@ def _edges_and_back(front: Piece, rectangle: Rectangle) -> Iterator[Piece]:
     plain = replace(
         front, finish=Finish.PLAIN, tone=tone, border=0.0, name="", label=""
     )  # fmt: skip
-    normal = np.cross(front.across, front.up)
-    back = -normal * rectangle.depth
+    back = -front.normal * rectangle.depth
     (width, height), depth = front.size, rectangle.depth
     x, y = front.across, front.up
     corners = [front.corner, front.corner + x * width]
@@ -346,7 +350,7 @@ def _edges_and_back(front: Piece, rectangle: Rectangle) -> Iterator[Piece]:
             plain,
             corner=corners[i] + back,
             across=along[i],
-            up=normal,
+            up=front.normal,
             size=np.array([lengths[i], depth]),
         )
     if rectangle.mount is Mount.FREE:
@@ -363,8 +367,7 @@ def _stand(front: Piece, solids: list[Solid]) -> Iterator[Piece]:
     """The foot below something that stands freely, down to what is under it."""
     from shapely.geometry import Point
 
-    normal = np.cross(front.across, front.up)
-    middle = front.corner + front.across * front.size[0] / 2.0 - normal * _NECK
+    middle = front.corner + front.across * front.size[0] / 2.0 - front.normal * _NECK
     under = [s.top for s in solids if s.top < middle[2] and s.polygon.contains(Point(*middle[:2]))]
     corner = middle - front.across * _NECK
     corner[2] = max(under, default=0.0)
