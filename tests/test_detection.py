@@ -156,8 +156,13 @@ def test_probability_falls_with_every_piece_of_evidence() -> None:
     assert best > 0.85
     assert rectangle_probability(half, whole, fits, none) < best
     assert rectangle_probability(whole, half, fits, none) < best
-    assert rectangle_probability(whole, whole, np.array([400.0]), none) < 1e-4
+    assert rectangle_probability(whole, whole, np.array([400.0]), none) < 1e-2
     assert rectangle_probability(whole, whole, np.array([np.inf]), none) < 1e-9
+    sigmas = [
+        rectangle_probability(whole, whole, fits, none, relative_sigmas=np.array([s]))[0]
+        for s in (0.005, 0.02, 0.1)
+    ]
+    assert (np.diff(sigmas) < 0).all()
     hung, met = np.array([2, 0]), np.array([0, 4])
     corners = rectangle_probability(
         *(np.repeat(a, 2, axis=0) for a in (whole, whole, fits, none)),

@@ -19,6 +19,7 @@ def building(name: str, scale: float, seed: int, count: int = 4000) -> Examples:
     rng = np.random.default_rng(seed)
     features = rng.uniform(0.0, 2.0, (count, len(FEATURES)))
     features[:, 0] = 1.0
+    features[:, FEATURES.index("sigma")] -= 5.0  # a logarithm
     right = rng.uniform(size=count) < expit(scale * features @ np.array(WEIGHTS))
     return Examples(name, features, np.zeros(count), right)
 
@@ -58,10 +59,13 @@ def test_hypotheses_of_a_frame_are_right_by_the_truth() -> None:
     board = Board(facing(20.0), np.array([0.1, 0.0, 2.0]), (0.8, 0.5))
     corners = CAMERA.project(board.corners)[None, ::-1]
     left, right = render([board])
-    seen = learn_from("a", [(left, right, CAMERA, corners)])
+    none = np.zeros((0, 4, 2))
+    seen = learn_from("a", [(left, right, CAMERA, corners, none)])
     assert seen.right.any()
     assert seen.features.shape == (len(seen.right), len(FEATURES))
-    elsewhere = learn_from("a", [(left, right, CAMERA, corners + 10.0)])
+    elsewhere = learn_from("a", [(left, right, CAMERA, corners + 60.0, none)])
     assert not elsewhere.right.any()
-    nothing = learn_from("a", [(left, right, CAMERA, np.zeros((0, 4, 2)))])
+    nothing = learn_from("a", [(left, right, CAMERA, none, none)])
     assert not nothing.right.any()
+    a_wall = learn_from("a", [(left, right, CAMERA, none, corners)])
+    assert len(a_wall.right) == len(seen.right) - seen.right.sum()

@@ -21,6 +21,7 @@ from rgslam.simulation.rendering import Renderer, mesh_of_pieces
 from rgslam.simulation.robot import StereoSensor
 from rgslam.simulation.sights import SightFinder
 from rgslam.simulation.surfaces import Finish, Piece, build_pieces
+from rgslam.simulation.wall_faces import divided_faces
 from rgslam.types import LaserScan, StereoPair
 
 SMALL = {"width": 160, "height": 120, "focal_px": 100.0}
@@ -283,6 +284,24 @@ def test_a_box_hides_a_part() -> None:
     # the smaller x are at the right)
     assert seen.visible_share == pytest.approx(0.5, abs=0.1)
     assert not seen.whole
+
+
+def test_a_wall_with_a_door_in_it_is_one_face() -> None:
+    """4 m less half of the outer wall at either end; above the skirting."""
+    faces = divided_faces(make())
+    assert len(faces) == 2  # of the wall between the rooms; no other one has an opening
+    west = next(face for face in faces if face.normal[0] < 0.0)
+    np.testing.assert_allclose(west.size, [3.8, 2.52], atol=1e-9)
+    np.testing.assert_allclose(west.corner, [3.94, 3.9, 0.08], atol=1e-9)
+    built = Built(make())
+    wide = SENSOR.model_copy(update={"focal_px": 50.0})
+    wTc = pose(0.3, 2.0, 0.0, wide)
+    seen = SightFinder(built.pieces, built.scene, faces).sights(wTc, wide.camera)
+    assert [s.rectangle for s in seen if s.rectangle.startswith("face")] == [west.name]
+    hidden = {"name": "box", "centre": [2.0, 2.0], "size": [0.1, 3.0], "height": 2.6}
+    behind = Built(make(furniture=[hidden]))
+    seen = SightFinder(behind.pieces, behind.scene, faces).sights(wTc, wide.camera)
+    assert all(s.visible_share < 0.2 for s in seen if s.rectangle == west.name)
 
 
 def test_out_of_the_image_and_from_behind() -> None:

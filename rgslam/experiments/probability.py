@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How sure a hypothesis is a rectangle: learnt in some buildings, tested in another.
 
-Every hypothesis of every frame of simulated runs is right or wrong by the truth; what is seen of it
-(support of its sides in both images, misfit of one rectangle, ends of sides that are loose, a side
-that had to be looked for) gives log odds by logistic regression. The weights that
-`rgslam.rectangles.verification` states are those of all buildings together. What nobody has named
-counts as wrong, also if it looks like a rectangle.
+Every hypothesis of simulated frames that no likelier one contradicts is a rectangle of the world
+or none; what is seen of it (support of its sides in both images, misfit of one rectangle, ends of
+sides that are loose, a side that had to be looked for, how well its size is known) gives log odds
+by logistic regression. The weights that `rgslam.rectangles.verification` states are those of all
+buildings together. What nobody has named counts as wrong, also if it looks like a rectangle; walls
+are rectangles but no things, and do not count.
 """
 
 from __future__ import annotations
@@ -26,28 +27,30 @@ from rgslam.camera import StereoCamera
 from rgslam.config import Config, RectangleConfig
 from rgslam.errors import EvaluationError
 from rgslam.experiments.json_values import to_json
+from rgslam.metrics.rectangles import image_pairs
 from rgslam.rectangles.detection import Hypotheses, measure_hypotheses
 from rgslam.rectangles.gradients import gradient_image
 from rgslam.rectangles.off_plane import OFF_PLANE
+from rgslam.rectangles.rivals import without_rivals
 from rgslam.rectangles.verification import FEATURES, WEIGHTS, border_features, misfit
 from rgslam.simulation import World, drive, simulate
+from rgslam.truth import WALL
 from rgslam.types import FloatArray, GreyImage, ProgressCallback, StereoPair
 
-#: px; a hypothesis with no corner farther off is the thing.
-NEAR_PX = 3.0
 #: Edges of the reliability table.
-BINS = (0.0, 0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
+BINS = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 # Nothing is refused before it is judged.
 _EVERY = Config(rectangles=RectangleConfig(min_probability=0.0))
 _SURE = 50.0  # log odds; beyond it nothing changes
 _RIDGE = 0.1  # of a squared weight: as much as one frame says, so that nothing runs away
 
-Frame = tuple[GreyImage, GreyImage, StereoCamera, FloatArray]  # and true corners (k, 4, 2), px
+#: With the true corners, px, of things (k, 4, 2) and of walls (m, 4, 2).
+Frame = tuple[GreyImage, GreyImage, StereoCamera, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """k hypotheses of one building."""
+    """k hypotheses of one building that no likelier one contradicts, but for walls."""
 
     building: str
     features: FloatArray  # (k, len(FEATURES))
@@ -126,23 +129,33 @@ def simulated_frames(
     building = World.built_in(world)
     seconds = float(drive(building.route).times[-1])
     run = simulate(building, seed=seed, stereo_rate=frames / seconds, progress=progress)
+    walls = {r.name for r in run.truth.rectangles if r.label == WALL}
     pairs = (m for m in run.messages() if isinstance(m, StereoPair))
     for pair, frame in zip(pairs, run.truth.frames, strict=True):
         corners = np.array([s.corners_px for s in frame.sights], float).reshape(-1, 4, 2)
-        yield pair.left, pair.right, pair.camera, corners[np.isfinite(corners).all(axis=(1, 2))]
+        ahead = np.isfinite(corners).all(axis=(1, 2))
+        wall = np.array([s.rectangle in walls for s in frame.sights], bool)
+        yield pair.left, pair.right, pair.camera, corners[ahead & ~wall], corners[ahead & wall]
 
 
 def learn_from(building: str, frames: Iterable[Frame]) -> Examples:
     """What is seen of all hypotheses of some frames, and which are right."""
     features, offsets, right = [], [], []
-    for left, other, camera, corners in frames:
+    for left, other, camera, things, walls in frames:
         gradients = (gradient_image(left), gradient_image(other))
         seen = measure_hypotheses((left, other), gradients, camera, _EVERY, Counter())
         usable = np.isfinite(seen.measured.corners).all(axis=(1, 2)) & seen.estimates.converged
-        features.append(_features(seen)[usable])
-        off_plane = np.where(seen.off_plane, OFF_PLANE, 0.0)
-        offsets.append((misfit(seen.estimates.costs) + off_plane)[usable])
-        right.append(_is_right(seen.quads.corners[usable], corners))
+        usable &= seen.estimates.relative_sigmas <= _EVERY.rectangles.max_relative_sigma
+        found, known = _features(seen), misfit(seen.estimates.costs)
+        known += np.where(seen.off_plane, OFF_PLANE, 0.0)
+        order = np.flatnonzero(usable)
+        order = order[np.argsort(-(found @ np.array(WEIGHTS) + known)[order], kind="stable")]
+        kept = order[without_rivals(seen.quads.take(order), _EVERY.rectangles.max_overlap)]
+        pairs = image_pairs(seen.quads.corners[kept], np.concatenate([things, walls]))
+        is_wall = np.isin(np.arange(len(kept)), pairs[pairs[:, 1] >= len(things), 0])
+        features.append(found[kept[~is_wall]])
+        offsets.append(known[kept[~is_wall]])
+        right.append(np.isin(np.flatnonzero(~is_wall), pairs[:, 0]))
     return Examples(
         building,
         np.concatenate([np.zeros((0, len(FEATURES))), *features]),
@@ -159,17 +172,8 @@ def _features(seen: Hypotheses) -> FloatArray:
         seen.quads.loose_ends,
         seen.quads.faint,
         seen.junctions,
+        seen.estimates.relative_sigmas,
     )
-
-
-def _is_right(quads: FloatArray, corners: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether (k,) each quadrangle (k, 4, 2) is a true one (m, 4, 2), in whatever order."""
-    right = np.zeros(len(quads), bool)
-    for ring in (corners, corners[:, ::-1]):
-        for shift in range(4):
-            apart = np.linalg.norm(quads[:, None] - np.roll(ring, shift, axis=1), axis=3)
-            right |= (apart.max(axis=2) <= NEAR_PX).any(axis=1)
-    return right
 
 
 def judge(examples: Sequence[Examples]) -> ProbabilityResult:

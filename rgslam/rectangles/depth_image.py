@@ -103,10 +103,9 @@ def _measured(
         estimates.costs,
         quads.loose_ends,
         other_log_odds=_end_log_odds(ended),
+        relative_sigmas=estimates.relative_sigmas,
     )
-    spread = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
-    with np.errstate(invalid="ignore"):
-        vague = ~(spread <= section.max_relative_sigma * estimates.sizes).all(axis=1)
+    vague = estimates.relative_sigmas > section.max_relative_sigma
     good = np.ones(len(quads), dtype=bool)
     for reason, failed in (
         (Rejection.NO_DEPTH, ~known),

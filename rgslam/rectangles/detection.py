@@ -231,10 +231,9 @@ def _accept(
         quads.faint,
         np.where(seen.off_plane, OFF_PLANE, 0.0),
         seen.junctions,
+        estimates.relative_sigmas,
     )
-    sigma = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2)[:, 6:])
-    with np.errstate(invalid="ignore"):
-        vague = ~(sigma <= section.max_relative_sigma * estimates.sizes).all(axis=1)
+    vague = estimates.relative_sigmas > section.max_relative_sigma
     in_right = np.isfinite(measured.corners).all(axis=(1, 2))
     whole = estimates.converged & ~vague & in_right
     tests = (

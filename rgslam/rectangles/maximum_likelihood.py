@@ -61,6 +61,14 @@ class RectangleEstimates:
         return RectangleEstimates(*parts)
 
     @property
+    def relative_sigmas(self) -> FloatArray:
+        """Standard deviation (n,) of width or height relative to it, the larger; inf = unknown."""
+        sigmas = np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)[:, 6:])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            relative = (sigmas / self.sizes).max(axis=1)
+        return np.where(np.isfinite(relative), relative, np.inf)
+
+    @property
     def corners(self) -> FloatArray:
         """Corners (n, 4, 3) in c, counter-clockwise from the lower left."""
         flat = 0.5 * SIDE * self.sizes[:, None, :]

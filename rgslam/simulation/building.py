@@ -148,20 +148,32 @@ def _gateway(world: World, opening: Door | Passage, label: GatewayClass) -> Trut
     return TruthGateway(opening.name, label, (names[0], names[1]), posts)
 
 
-def _walls(world: World) -> list[Solid]:
-    """One solid per connected piece of wall of the same height, and what is over an opening."""
+def whole_walls(world: World) -> list[tuple[BaseGeometry, float]]:
+    """Footprint and height of the walls as if they had no openings."""
     from shapely.ops import unary_union
 
-    openings: list[Door | Window] = [*world.doors, *world.windows]
-    holes = {id(opening): _hole(world, opening) for opening in openings}
     by_height = defaultdict(list)
     for i, wall in enumerate(world.walls):
         by_height[wall.height].append(_wall_polygon(world, i))
-    cut = unary_union(list(holes.values()))
+    return [(unary_union(polygons), height) for height, polygons in by_height.items()]
+
+
+def openings_of(world: World) -> BaseGeometry:
+    """Footprint of all doors and windows, a little deeper than their walls."""
+    from shapely.ops import unary_union
+
+    openings: list[Door | Window] = [*world.doors, *world.windows]
+    return unary_union([_hole(world, opening) for opening in openings])
+
+
+def _walls(world: World) -> list[Solid]:
+    """One solid per connected piece of wall of the same height, and what is over an opening."""
+    openings: list[Door | Window] = [*world.doors, *world.windows]
+    cut = openings_of(world)
     upright = [
         (piece, height)
-        for height, polygons in by_height.items()
-        for piece in _pieces(unary_union(polygons).difference(cut))
+        for whole, height in whole_walls(world)
+        for piece in pieces_of(whole.difference(cut))
     ]
     pieces = [
         Solid(f"wall {k}", piece, 0.0, height) for k, (piece, height) in enumerate(upright, start=1)
@@ -342,10 +354,10 @@ def _left_normal(posts: FloatArray) -> FloatArray:
     return np.array([-along[1], along[0]]) / length
 
 
-def _pieces(geometry: BaseGeometry) -> list[Polygon]:
+def pieces_of(geometry: BaseGeometry) -> list[Polygon]:
     """The polygons of a geometry that may be one, several or none."""
     return [p for p in getattr(geometry, "geoms", [geometry]) if p.area > 0.0]
 
 
 def _largest(geometry: BaseGeometry) -> Polygon | None:
-    return max(_pieces(geometry), key=lambda piece: piece.area, default=None)
+    return max(pieces_of(geometry), key=lambda piece: piece.area, default=None)

@@ -18,6 +18,7 @@ from rgslam.simulation.robot import StereoSensor
 from rgslam.simulation.sensors import Sweeps, read_wheels, sweep_laser
 from rgslam.simulation.stereo_run import StereoRun
 from rgslam.simulation.surfaces import Piece, build_pieces, true_cuboids
+from rgslam.simulation.wall_faces import divided_faces
 from rgslam.simulation.world import World
 from rgslam.truth import Truth
 from rgslam.types import FloatArray, LaserScan, Message, Odometry, ProgressCallback, Trajectory
@@ -145,6 +146,7 @@ def simulate(
     solids = build_solids(world)
     regions, gateways = true_regions(world), true_gateways(world)
     pieces = build_pieces(world, solids)  # names what hangs on nothing, with or without images
+    faces = divided_faces(world)
     motion = drive(world.route)
     _check_clearance(world, motion, footprint(solids, world.sensors.laser.height))
     end = float(motion.times[-1]) if duration is None else min(duration, float(motion.times[-1]))
@@ -161,14 +163,14 @@ def simulate(
     wheel_poses = motion.poses_at(odometry_times)
     oTb = read_wheels(wheels, wheel_poses, odometry_times, wheel_rng)
     cameras = world.sensors.stereo if stereo else None
-    run = _stereo_run(world, pieces, cameras, stereo_rate, motion, end, seed)
+    run = _stereo_run(world, pieces, faces, cameras, stereo_rate, motion, end, seed)
     truth = Truth(
         world=world.name,
         seed=seed,
         trajectory=Trajectory(_stamps(scan_times), motion.poses_at(scan_times)),
         regions=regions,
         gateways=gateways,
-        rectangles=tuple(piece.rectangle for piece in pieces if piece.name),
+        rectangles=tuple(piece.rectangle for piece in [*pieces, *faces] if piece.name),
         cuboids=true_cuboids(world),
         frames=() if run is None else run.frames(),
         camera=None if cameras is None else cameras.camera,
@@ -181,6 +183,7 @@ def simulate(
 def _stereo_run(
     world: World,
     pieces: list[Piece],
+    faces: list[Piece],
     cameras: StereoSensor | None,
     rate: float | None,
     motion: Drive,
@@ -191,7 +194,7 @@ def _stereo_run(
         return None
     rate = rate or cameras.rate
     times = _STEREO_PHASE + np.arange(max(0, int(np.ceil((end - _STEREO_PHASE) * rate)))) / rate
-    return StereoRun(world, pieces, cameras, _stamps(times), motion.poses_at(times), seed)
+    return StereoRun(world, pieces, faces, cameras, _stamps(times), motion.poses_at(times), seed)
 
 
 def _stamps(times: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +18,15 @@ from rgslam.types import FloatArray, IntArray
 _CELLS = 10  # along each side: the visible share is known to a hundredth
 _INSET = 0.002  # m, from the edge: farther than the ray caster's error
 _NEAREST = 0.05  # m, in front of the camera
+_NOT_BUILT = -1  # index of what is no piece of the scene, but made of several
+_SAME = 1e-4  # of a distance: the ray caster's error and paint
 
 
 @dataclass(frozen=True, eq=False)
 class _Probes:
     """Points on all rectangles that are looked at."""
 
-    pieces: IntArray  # (r,), index of each rectangle among the pieces
+    pieces: IntArray  # (r,), index of each rectangle among the pieces, or _NOT_BUILT
     corners: FloatArray  # (r, 4, 3), w
     normals: FloatArray  # (r, 3)
     inner: FloatArray  # (r, k, 3), middles of equal cells
@@ -33,10 +36,11 @@ class _Probes:
 class SightFinder:
     """Finds what is seen from where in one building."""
 
-    def __init__(self, pieces: list[Piece], scene: RayScene) -> None:
-        """Take the pieces, and the scene that was made of them."""
+    def __init__(self, pieces: list[Piece], scene: RayScene, faces: Sequence[Piece] = ()) -> None:
+        """Take the pieces, the scene that was made of them, and faces that several make up."""
         self._scene = scene
         named = [(i, piece) for i, piece in enumerate(pieces) if piece.name]
+        named += [(_NOT_BUILT, face) for face in faces]
         self._names = [piece.name for _, piece in named]
         self._probes = _probes(named)
 
@@ -66,8 +70,10 @@ class SightFinder:
         """Whether nothing lies between the eye and points (n, k, 3) on n rectangles, (n, k)."""
         rays = np.empty((*points.shape[:-1], 6), np.float32)
         rays[..., :3], rays[..., 3:] = eye, points - eye
-        _, triangle = self._scene.cast(rays)
-        return triangle // 2 == self._probes.pieces[rectangles][:, None]
+        distance, triangle = self._scene.cast(rays)
+        piece = self._probes.pieces[rectangles][:, None]
+        own = triangle // 2 == piece
+        return np.where(piece == _NOT_BUILT, distance > 1.0 - _SAME, own)
 
 
 def _probes(named: list[tuple[int, Piece]]) -> _Probes:

@@ -32,6 +32,7 @@ class StereoRun:
         self,
         world: World,
         pieces: list[Piece],
+        faces: list[Piece],
         sensor: StereoSensor,
         stamps: FloatArray,
         wTb: FloatArray,
@@ -39,7 +40,7 @@ class StereoRun:
     ) -> None:
         """Prepare frames at stamps (n,) and poses of the robot (n, 3); nothing is rendered yet."""
         self.sensor, self.stamps, self.wTb = sensor, stamps, wTb
-        self._world, self._pieces, self._seed = world, pieces, seed
+        self._world, self._pieces, self._faces, self._seed = world, pieces, faces, seed
         self._scene = RayScene(*mesh_of_pieces(pieces))
 
     @cached_property
@@ -48,7 +49,8 @@ class StereoRun:
 
     def frames(self, progress: Callable[[int], None] | None = None) -> tuple[TruthFrame, ...]:
         """What each frame shows."""
-        finder, camera = SightFinder(self._pieces, self._scene), self.sensor.camera
+        camera = self.sensor.camera
+        finder = SightFinder(self._pieces, self._scene, self._faces)
         frames = []
         for i, (stamp, wTb) in enumerate(zip(self.stamps.tolist(), self.wTb, strict=True)):
             frames.append(TruthFrame(stamp, wTb, finder.sights(self._wTc(i), camera)))

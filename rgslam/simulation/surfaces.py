@@ -34,7 +34,7 @@ _SEAM = 0.003
 #: Width of the floor, m, that a thing standing on it keeps all light from, and what comes back.
 _CONTACT, _CONTACT_TONE = 0.006, 0.04
 #: Height of a skirting board, m, and its tone.
-_SKIRTING, _SKIRTING_TONE = 0.08, 0.28
+SKIRTING, _SKIRTING_TONE = 0.08, 0.28
 #: Half the width of the neck of a stand, m.
 _NECK = 0.03
 #: Farther than this from a wall nothing hangs on it, m.
@@ -151,14 +151,14 @@ def _of_solid(solid: Solid, world: World) -> Iterator[Piece]:
 
 
 def _wall_pieces(solid: Solid, tone: float) -> Iterator[Piece]:
-    standing = solid.bottom == 0.0 and solid.top > 2.0 * _SKIRTING
-    for k, side in enumerate(_sides(solid, Finish.WALL, tone), start=1):
+    standing = solid.bottom == 0.0 and solid.top > 2.0 * SKIRTING
+    for k, side in enumerate(upright_sides(solid, Finish.WALL, tone), start=1):
         name = f"{solid.name} side {k}"
         if not standing:
             yield replace(side, name=name, label=WALL)
             continue
-        low, high = np.array([side.size[0], _SKIRTING]), np.array([0.0, _SKIRTING])
-        lift = np.array([0.0, 0.0, _SKIRTING])
+        low, high = np.array([side.size[0], SKIRTING]), np.array([0.0, SKIRTING])
+        lift = np.array([0.0, 0.0, SKIRTING])
         yield replace(side, corner=side.corner + lift, size=side.size - high, name=name,
                       label=WALL)  # fmt: skip
         yield replace(side, size=low, finish=Finish.PLAIN, tone=_SKIRTING_TONE)
@@ -167,7 +167,7 @@ def _wall_pieces(solid: Solid, tone: float) -> Iterator[Piece]:
             yield replace(cap, name=f"{solid.name} {face}", label=WALL)
 
 
-def _sides(solid: Solid, finish: Finish, tone: float) -> Iterator[Piece]:
+def upright_sides(solid: Solid, finish: Finish, tone: float) -> Iterator[Piece]:
     """The upright faces; those of a box in the order of its corners."""
     from shapely.geometry.polygon import orient
 
@@ -188,7 +188,7 @@ def _sides(solid: Solid, finish: Finish, tone: float) -> Iterator[Piece]:
 
 def _contact(solid: Solid) -> Iterator[Piece]:
     """Strips of dark floor around what stands on it; too narrow for cells of the light."""
-    for side in _sides(solid, Finish.PLAIN, _CONTACT_TONE):
+    for side in upright_sides(solid, Finish.PLAIN, _CONTACT_TONE):
         outward = side.normal
         yield replace(
             side,
@@ -200,7 +200,7 @@ def _contact(solid: Solid) -> Iterator[Piece]:
 
 def _caps(solid: Solid, finish: Finish, tone: float) -> list[Piece]:
     """Top and underside of a solid with four corners."""
-    side = next(iter(_sides(solid, finish, tone)))
+    side = next(iter(upright_sides(solid, finish, tone)))
     inward = np.cross(side.up, side.across)
     depth = solid.polygon.area / side.size[0]
     size = np.array([side.size[0], depth])
@@ -223,7 +223,7 @@ def _wall_tone(solid: Solid, world: World) -> float:
 def _leaf_pieces(solid: Solid, door: Door) -> Iterator[Piece]:
     hinge = np.asarray(door.posts[0], float)
     faces = 0
-    for side in _sides(solid, Finish.PLAIN, door.tone):
+    for side in upright_sides(solid, Finish.PLAIN, door.tone):
         if side.size[0] < 2.0 * door.leaf_thickness:
             yield side
             continue
@@ -243,7 +243,7 @@ def _leaf_pieces(solid: Solid, door: Door) -> Iterator[Piece]:
 
 
 def _pane_pieces(solid: Solid, window: Window) -> Iterator[Piece]:
-    sides = sorted(_sides(solid, Finish.SKY, 0.8), key=lambda side: -side.size[0])
+    sides = sorted(upright_sides(solid, Finish.SKY, 0.8), key=lambda side: -side.size[0])
     for side, face in zip(sides[:2], ("front", "back"), strict=True):
         yield replace(
             side,
@@ -258,7 +258,8 @@ def _box_pieces(solid: Solid, box: Box) -> Iterator[Piece]:
     longer = max(box.size)
     top, below = _caps(solid, Finish.PLAIN, box.tone)
     faces = [
-        (f"side {k}", side) for k, side in enumerate(_sides(solid, Finish.PLAIN, box.tone), start=1)
+        (f"side {k}", side)
+        for k, side in enumerate(upright_sides(solid, Finish.PLAIN, box.tone), start=1)
     ]
     faces.append(("top", top))
     if solid.bottom > 0.0:
