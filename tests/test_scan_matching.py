@@ -118,16 +118,30 @@ def test_odd_beams_are_an_error(angles: list[float], message: str) -> None:
         LaserGeometry.from_scan(scan)
 
 
-def test_a_far_corner_between_wide_beams_is_no_edge() -> None:
-    """At 20 m beams of one degree are 0.35 m apart: the corner is somewhere between two of them."""
-    near, far = (
-        scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
-        for scan in (
-            square_room_scan(np.zeros(3), size, n_beams=181) for size in ((6.0, 6.0), (40.0, 40.0))
-        )
-    )
-    assert (near.classes == EDGE).any()
-    assert (far.classes == SURFACE).any()
+def test_walls_that_meet_keep_their_own_normals() -> None:
+    """The corners of a door case, 15 cm deep: what is fitted across them would be a third wall."""
+    angles = np.radians(np.arange(-90.0, 90.5, 0.5))
+    rays = np.column_stack([np.cos(angles), np.sin(angles)])
+    with np.errstate(divide="ignore"):
+        wall = 1.05 / np.abs(rays[:, 1])
+        inside = np.abs(rays[:, 0] * wall - 1.0) < 0.45
+        deep = np.where(inside, np.minimum(1.2 / np.abs(rays[:, 1]), 1.45 / rays[:, 0]), wall)
+    ranges = np.minimum(deep, 4.0 / rays[:, 0]) + np.random.default_rng(0).normal(0.0, NOISE, 361)
+    geometry = LaserGeometry(float(angles[0]), float(angles[1] - angles[0]), 361, np.zeros(3))
+    scan = scan_points(ranges, geometry, NOISE)
+    known = scan.classes == SURFACE
+    slanted = np.minimum(*np.abs(scan.normals[known].T)) > np.sin(np.radians(20.0))
+    assert known.mean() > 0.9
+    assert slanted.mean() < 0.02
+
+
+def test_clutter_far_away_between_wide_beams_is_no_edge() -> None:
+    """At 20 m beams of one degree are 0.35 m apart: an edge is somewhere between two of them."""
+    angles = np.radians(np.arange(-90.0, 91.0))
+    geometry = LaserGeometry(float(angles[0]), float(angles[1] - angles[0]), 181, np.zeros(3))
+    rough = np.random.default_rng(0).uniform(-0.1, 0.1, 181)
+    near, far = (scan_points(way + rough, geometry, NOISE) for way in (3.0, 20.0))
+    assert (near.classes == EDGE).mean() > 0.5
     assert not (far.classes == EDGE).any()
 
 

@@ -146,6 +146,43 @@ def _stands_out(ranges: FloatArray, i: int, hits: int, full_circle: bool) -> boo
 
 
 @njit(cache=True, nogil=True)
+def _fitted_line(sums: FloatArray) -> tuple[float, float, float, float]:
+    """Variances across and along the line through a point and others, and its normal x, y.
+
+    Total least squares: the normal is the eigenvector of the smaller eigenvalue.
+
+    Args:
+        sums: (6,), number of the others, and sums of their x, y, xx, xy, yy from the point.
+    """
+    m = sums[0] + 1.0
+    cxx = sums[3] / m - sums[1] * sums[1] / m**2
+    cxy = sums[4] / m - sums[1] * sums[2] / m**2
+    cyy = sums[5] / m - sums[2] * sums[2] / m**2
+    half_trace = 0.5 * (cxx + cyy)
+    root = max(np.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy), 1e-12)
+    # Across the wall, whose direction is half the angle of (cxx - cyy, 2 cxy)
+    if cxx > cyy:
+        ny = np.sqrt(0.5 + 0.25 * (cxx - cyy) / root)
+        nx = -0.5 * cxy / (root * ny)
+    else:
+        nx = -np.sqrt(0.5 - 0.25 * (cxx - cyy) / root)
+        ny = -0.5 * cxy / (root * nx)
+    return half_trace - root, half_trace + root, nx, ny
+
+
+@njit(cache=True, nogil=True)
+def _is_straight(small: float, large: float, points: float, sigma: float) -> bool:
+    """Whether noise of sigma explains what is across the line, and its direction is known.
+
+    The sum of squares across has two degrees of freedom less than points; 3 sigma of its
+    distribution (Wilson and Hilferty 1931) may be reached.
+    """
+    left = max(points - 2.0, 1.0)
+    most = left * (1.0 - 2.0 / (9.0 * left) + 3.0 * np.sqrt(2.0 / (9.0 * left))) ** 3
+    return small * points <= most * sigma * sigma and large >= 9.0 * max(small, sigma * sigma)
+
+
+@njit(cache=True, nogil=True)
 def _points_and_normals(
     ranges: FloatArray, angles: FloatArray, bTl: FloatArray, full_circle: bool, sigma: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.uint8]]:
@@ -167,10 +204,10 @@ def _points_and_normals(
         # Far away the beams are wide apart: the support grows until it holds three of them even
         # where they graze the wall (up to about 75 degrees of incidence).
         support = max(_SUPPORT, 4.0 * ranges[i] * step)
-        count, sx, sy, sxx, sxy, syy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for side in (-1, 1):
+        sums = np.zeros((2, 6))  # by side: points and sums of x, y, xx, xy, yy
+        for side in range(2):
             for k in range(1, _NEIGHBOURS + 1):
-                j = i + side * k
+                j = i + (2 * side - 1) * k
                 if full_circle:
                     j %= n
                 elif j < 0 or j >= n:
@@ -180,12 +217,13 @@ def _points_and_normals(
                 dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
                 if dx * dx + dy * dy > support * support:
                     break
-                count += 1
-                sx += dx
-                sy += dy
-                sxx += dx * dx
-                sxy += dx * dy
-                syy += dy * dy
+                sums[side, 0] += 1.0
+                sums[side, 1] += dx
+                sums[side, 2] += dy
+                sums[side, 3] += dx * dx
+                sums[side, 4] += dx * dy
+                sums[side, 5] += dy * dy
+        count = int(sums[0, 0] + sums[1, 0])
         # Where beams lie farther apart than that, an edge is somewhere between two of them, and
         # what one of them hits moves along with the robot
         located = ranges[i] * step < _SUPPORT
@@ -193,23 +231,21 @@ def _points_and_normals(
             if located and _stands_out(ranges, i, 1 + count, full_circle):
                 classes[i] = 3
             continue
+        small, large, nx, ny = _fitted_line(sums[0] + sums[1])
         m = count + 1.0
-        cxx, cxy, cyy = sxx / m - sx * sx / m**2, sxy / m - sx * sy / m**2, syy / m - sy * sy / m**2
-        # Total least squares: the normal is the eigenvector of the smaller eigenvalue
-        half_trace = 0.5 * (cxx + cyy)
-        root = np.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy)
-        small, large = half_trace - root, half_trace + root
-        if small > (2.5 * sigma) ** 2 or large < 9.0 * max(small, sigma * sigma):
-            if located:
-                classes[i] = 3
-            continue
-        # Across the wall, whose direction is half the angle of (cxx - cyy, 2 cxy)
-        if cxx > cyy:
-            ny = np.sqrt(0.5 + 0.25 * (cxx - cyy) / root)
-            nx = -0.5 * cxy / (root * ny)
-        else:
-            nx = -np.sqrt(0.5 - 0.25 * (cxx - cyy) / root)
-            ny = -0.5 * cxy / (root * nx)
+        if not _is_straight(small, large, m, sigma):
+            # Beside a corner the wall goes on to one side alone
+            known = 0.0
+            for side in range(2):
+                if sums[side, 0] >= 2.0:
+                    across, along, ax, ay = _fitted_line(sums[side])
+                    own = sums[side, 0] + 1.0
+                    if _is_straight(across, along, own, sigma) and own * along > known:
+                        known, large, m, nx, ny = own * along, along, own, ax, ay
+            if known == 0.0:
+                if located:
+                    classes[i] = 3
+                continue
         toward = nx * (bTl[0] - points[i, 0]) + ny * (bTl[1] - points[i, 1])
         if toward < 0.0:
             nx, ny, toward = -nx, -ny, -toward
