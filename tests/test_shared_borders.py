@@ -80,7 +80,8 @@ def test_doubt_about_one_side_stays_however_often_it_is_seen(count: int) -> None
     # sight says
     expected = DOUBT * distance / CAMERA.fy
     np.testing.assert_allclose(height[2:], expected, rtol=0.15)
-    np.testing.assert_allclose(height[:2], 0.0, atol=0.1 * expected)
+    # What is beside the top is beside the other sides as likely as not
+    np.testing.assert_allclose(height[:2], np.sqrt(0.5) * expected, rtol=0.15)
     assert extra[2, 2, 3, 2] == pytest.approx(extra[2, 2, 2, 2], rel=1e-3), (
         "a side moves as a whole"
     )

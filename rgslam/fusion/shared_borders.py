@@ -37,6 +37,8 @@ _BY_CHANCE = 0.01
 _OF_LEFT = np.diag([1.0, 0.0, np.sqrt(2.0)])
 #: A sight noticed another edge whose variance is so many times that of the clearest side.
 _NOTICED = 4.0
+#: Probability that an edge beside one side is beside all others too: nobody knows.
+_AROUND = 0.5
 #: x and y of a corner in x left, x right, y: both images show the same thing.
 _ALIKE = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
@@ -99,13 +101,16 @@ def _noticed_variances(variances: FloatArray, rates: FloatArray) -> FloatArray:
     """Of the offset of each side (4,), m^2.
 
     An edge that some sights noticed is there for the others as well, too near or too faint to be
-    told: it counts as those say that noticed it.
+    told: it counts as those say that noticed it. And what is beside one side may run around, as a
+    casing does, of which the camera sees what stands out on the far side alone.
     """
     # The pixels' own noise is what the clearest side shows
     clearest = variances.min()
     offsets = (variances - clearest) / rates**2
     noticed = variances > _NOTICED * clearest
-    return np.mean(offsets, axis=0, where=noticed | ~noticed.any(axis=0))
+    beside = noticed.any(axis=0)
+    own: FloatArray = np.mean(offsets, axis=0, where=noticed | ~beside)
+    return np.maximum(own, _AROUND * own[beside].mean()) if beside.any() else own
 
 
 def _side_variances(state: RectangleState, views: _Views) -> tuple[FloatArray, FloatArray]:
