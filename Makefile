@@ -47,6 +47,7 @@ $(READY): pyproject.toml constraints.txt .ci/system-packages
 	@bash .ci/system-packages venv "$(PYTHON)"
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	$(BIN)/python -m compileall -q rgslam
 	touch $(READY)
 
 # Open3D loads libraries of the system that no wheel brings.

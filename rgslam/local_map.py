@@ -178,9 +178,10 @@ class LocalMap:
             The aligned pose, or the predicted one when too little of the scan is known here.
         """
         prediction = compose(start, odometry.bTc)
-        best = self._align(scan, start, odometry)
+        best = self._align(scan, prediction, odometry)
         if best.inliers < self._config.doubtful_inliers:
-            other = self._align(scan, start, habit())
+            usual = habit()
+            other = self._align(scan, compose(start, usual.bTc), usual)
             best = other if other.inliers > best.inliers + _CLEARLY_BETTER else best
         if best.inliers < self._config.min_inliers:
             return LocalMatch.predicted(prediction, best.inliers, False)
@@ -253,13 +254,12 @@ class LocalMap:
         """
         return self._correlation.factor * self._scatter
 
-    def _align(self, scan: ScanPoints, start: FloatArray, motion: Motion) -> Registration:
+    def _align(self, scan: ScanPoints, prediction: FloatArray, motion: Motion) -> Registration:
         """Least squares from the prediction, or from the basin that correlation finds.
 
         The search is left out where every likely error of the prediction lies within reach of the
         registration, and the scan then fits as scans do here.
         """
-        prediction = compose(start, motion.bTc)
         direct = self._register(scan, prediction, prediction, motion.information)
         if direct.inliers >= self._usual_inliers and self._within_reach(
             between(prediction, direct.wTb)

@@ -21,7 +21,7 @@ from rgslam.described_run import DescribedRun, PosedRun, Track, describe_run
 from rgslam.errors import RecordingError
 from rgslam.factor_graph import PoseGraph, mahalanobis
 from rgslam.frame_placing import HORIZON, FramePlacer, ScanPlace
-from rgslam.geometry import adjoint, between, compose, inverse
+from rgslam.geometry import between, compose
 from rgslam.local_map import LocalMap, LocalMatch, Motion, is_keyframe
 from rgslam.loop_closing import LoopCandidate, LoopCloser, MapView, Rejection, contradicted
 from rgslam.match_edges import MatchEdges
@@ -34,6 +34,7 @@ from rgslam.scan_matching import (
     LaserGeometry,
     ScanPoints,
     ScanStore,
+    carried,
     inverted,
     scan_points,
 )
@@ -242,9 +243,8 @@ class Mapper:
     def _remember(
         self, scan: LaserScan, oTb: FloatArray | None, odometry: Motion, match: LocalMatch
     ) -> None:
-        A = adjoint(inverse(odometry.bTc))
         doubted = odometry.covariance * match.doubt
-        self._since_keyframe = A @ self._since_keyframe @ A.T + doubted
+        self._since_keyframe = carried(self._since_keyframe, odometry.bTc) + doubted
         step = between(self._wTb, match.wTb)
         self._path += math.hypot(*step[:2].tolist())
         if self._last is not None:

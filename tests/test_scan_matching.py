@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rgslam.errors import RecordingError
-from rgslam.geometry import between, compose, transform_points
+from rgslam.geometry import adjoint, between, compose, inverse, transform_points
 from rgslam.scan_matching import (
     EDGE,
     INVALID,
@@ -23,8 +23,10 @@ from rgslam.scan_matching import (
     SurfelMap,
     agreement,
     build_surfel_map,
+    carried,
     correlate,
     gate_schedule,
+    inverted,
     register,
     scan_points,
     thinned,
@@ -330,6 +332,17 @@ def test_errors_are_as_large_as_the_information_says() -> None:
     # 120 samples of chi-square with 3 degrees of freedom: mean 3, 99.7 % below 3.7. Range noise is
     # along the beam, which crosses a wall at 45 degrees with half the variance: 1.5 at least.
     assert 1.3 < np.mean(squared) < 3.7
+
+
+@given(SMALL, st.integers(0, 99))
+@settings(max_examples=20, deadline=None)
+def test_small_matrices_are_those_of_numpy(motion: tuple[float, float, float], seed: int) -> None:
+    root = np.random.default_rng(seed).normal(size=(3, 3))
+    covariance = root @ root.T + 0.1 * np.eye(3)
+    np.testing.assert_allclose(inverted(covariance), np.linalg.inv(covariance), rtol=1e-9)
+    bTc = 10.0 * np.array(motion)
+    A = adjoint(inverse(bTc))
+    np.testing.assert_allclose(carried(covariance, bTc), A @ covariance @ A.T, rtol=1e-9)
 
 
 def test_a_hallway_stays_open_along_its_axis() -> None:

@@ -14,6 +14,7 @@ from rgslam.scan_matching.noise import BeamCorrelation, IncidenceNoise, noise_sh
 from rgslam.scan_matching.registration import (
     OPEN_AXES,
     Registration,
+    carried,
     gate_schedule,
     inverted,
     line_residuals,
@@ -53,6 +54,7 @@ __all__ = [
     "Surfels",
     "agreement",
     "build_surfel_map",
+    "carried",
     "correlate",
     "gate_schedule",
     "inverted",

@@ -257,6 +257,22 @@ def solve(A: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def carried(covariance: FloatArray, bTc: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of a pose, moved along with it by bTc (3,): to the tangent space at c."""
+    c, s = np.cos(bTc[2]), np.sin(bTc[2])
+    A, moved = np.zeros((3, 3)), np.zeros((3, 3))  # the adjoint of cTb
+    A[0, 0], A[0, 1], A[0, 2] = c, s, s * bTc[0] - c * bTc[1]
+    A[1, 0], A[1, 1], A[1, 2] = -s, c, c * bTc[0] + s * bTc[1]
+    A[2, 2] = 1.0
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    moved[i, j] += A[i, k] * covariance[k, m] * A[j, m]
+    return moved
+
+
+@njit(cache=True, nogil=True)
 def _register(
     guess: FloatArray,
     points: FloatArray,
