@@ -76,7 +76,10 @@ def _moving(
     poses: FloatArray,
     polar: FloatArray,
 ) -> Mask:
-    """The same on arrays: old_points (k, n, 2), old_classes and old_moving (k, n), poses (k, 3)."""
+    """The same on arrays: old_points (k, n, 2), old_classes and old_moving (k, n), poses (k, 3).
+
+    polar: of the scanner, see `LaserGeometry.polar`.
+    """
     asked = _located(points, classes, polar)
     contradicted = np.zeros(len(points), np.bool_)
     times = np.zeros(len(points), np.int64)
