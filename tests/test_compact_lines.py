@@ -79,6 +79,35 @@ def test_what_nobody_saw_stays_and_what_another_line_explains_goes() -> None:
     assert found[1] is unseen
 
 
+def test_short_sides_count_where_many_beams_ended() -> None:
+    """A pier of 0.3 x 0.2 m before the wall: its front is a line when it was seen often."""
+    pier = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 0.2], [3.3, 0.2], [3.3, 0.0], [6.0, 0.0],
+                     [6.0, 4.0], [0.0, 4.0]])  # fmt: skip
+    wall = [segment(0.0, 3.0, 0.0), segment(3.3, 6.0, 0.0)]
+    once = wall_hits((0.0, 3.0, 0.0), (3.3, 6.0, 0.0), (3.0, 3.3, 0.2))
+    assert len(compact_lines(wall, once, [], pier, 0.8)) == 1  # one wall goes on behind it
+    often = wall_hits((0.0, 3.0, 0.0), (3.3, 6.0, 0.0), *[(3.0, 3.3, 0.2)] * 3)
+    lines = compact_lines(wall, often, [], pier, 0.8)
+    assert sorted(line.length for line in lines) == pytest.approx([0.3, 6.0], abs=0.05)
+    front = min(lines, key=lambda line: line.length)
+    np.testing.assert_allclose(front.endpoints[:, 1], 0.2, atol=0.01)
+
+
+def test_what_explains_hardly_a_beam_is_left_out() -> None:
+    """A cabinet's side of a metre, which 12 beams met where 1800 met six metres of wall."""
+    side = LineSegment(np.array([[2.0, 1.0], [3.0, 1.0]]), 0.02)
+    wall = wall_hits(*[(0.0, 6.0, 0.0)] * 3)
+    few = wall_hits((2.0, 3.0, 1.0)).where(np.arange(0, 100, 9))
+    for beams, count in ((wall, 1), (wall_hits((0.0, 6.0, 0.0)), 2)):
+        hits = Hits(
+            np.concatenate([beams.points, few.points]),
+            np.concatenate([beams.rays, few.rays]),
+            np.zeros(len(beams.points) + 12, np.int64),
+        )
+        found = compact_lines([segment(0.0, 6.0, 0.0), side], hits, [], ROOM, 0.8)
+        assert len(found) == count
+
+
 def test_hits_amid_the_room_are_not_at_its_boundary() -> None:
     hits = wall_hits((0.0, 6.0, 0.0), (1.0, 2.0, 2.0))
     near: FloatArray = at_boundary(ROOM, [], hits, 0.05).points

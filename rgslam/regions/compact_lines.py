@@ -27,8 +27,14 @@ EXPLAINED = 0.05
 _STEP = 0.05
 # Share of a piece that must be its own, or others explain it.
 _OWN = 0.5
-# Four numbers for less wall than a person is wide are no compact description, m.
+# Four numbers for less wall than a person is wide are no compact description, m; unless as many
+# beams ended there as on that much of the region's walls on average.
 _SHORTEST = 0.5
+# Longer segments that explain fewer beams than ended on so much wall are left out, m: it is others
+# that explain theirs.
+_LEAST = 0.1
+# Shortest side of what stands out of a wall, m: three steps.
+_SIDE = 0.15
 _ROUNDS = 2
 # Free space of the region that lies so far behind a line is a recess, m: two cells of a grid.
 _BEHIND = 0.1
@@ -60,22 +66,35 @@ def compact_lines(
     polygon = Polygon(outline)
     prepare(polygon)
     posts = np.array([gateway.points for gateway in gateways]).reshape(-1, 2, 2)
+    per_metre = len(hits.points) / max(sum(line.length for line in lines), _SHORTEST)
     found = []
-    for line in sorted(lines, key=lambda line: -line.length):
+    for line in sorted([*lines, *_short_edges(outline)], key=lambda line: -line.length):
         strip = _strip(hits.points, frame_of(line))
         seen = _share(line, hits, strip, everything)
         if seen < _OWN:  # hardly any beam ended there: the grid knows better
-            found.append(line)
+            if line.length >= _SHORTEST:
+                found.append(line)
             continue
         if _share(line, hits, strip, left) < _OWN * seen:
             continue
         for _ in range(_ROUNDS):
             line = _grown(line, hits, strip, left, posts, polygon, gap)
-        if line.length < _SHORTEST:
+        frame = frame_of(line)
+        explained = _explained(hits.points, hits.rays, strip, frame, left)
+        worth = _SHORTEST if line.length < _SHORTEST else _LEAST
+        if len(explained) < worth * per_metre:
             continue
-        _explain(hits.points, hits.rays, strip, frame_of(line), left)
+        left[explained] = False
         found.append(line)
     return tuple(found)
+
+
+def _short_edges(outline: FloatArray) -> list[LineSegment]:
+    """Sides (n,) of what stands out of a wall, too short for a line of the grid."""
+    edges = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
+    lengths = np.hypot(*(edges[:, 1] - edges[:, 0]).T)
+    short = (lengths >= _SIDE) & (lengths < _SHORTEST)
+    return [LineSegment(ends, EXPLAINED) for ends in edges[short]]
 
 
 def at_boundary(
@@ -168,14 +187,19 @@ def _share(line: LineSegment, hits: Hits, strip: IntArray, left: Mask) -> float:
 
 
 @nb.njit(cache=True)
-def _explain(
+def _explained(
     points: FloatArray, rays: FloatArray, strip: IntArray, frame: FloatArray, left: Mask
-) -> None:
-    """Take the points that a line explains from those that are left (n,), in place."""
+) -> IntArray:
+    """Places of the points that are left (n,) and that a line explains."""
+    found = np.empty(len(strip), np.int64)
+    count = 0
     for k in strip:
         along, off, from_left = _along(points, rays, frame, k)
-        if from_left and abs(off) <= EXPLAINED and -EXPLAINED <= along <= frame[4] + EXPLAINED:
-            left[k] = False
+        on = from_left and abs(off) <= EXPLAINED and -EXPLAINED <= along <= frame[4] + EXPLAINED
+        if on and left[k]:
+            found[count] = k
+            count += 1
+    return found[:count]
 
 
 @nb.njit(cache=True)
