@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import box_ranges, square_room_scan
@@ -345,18 +347,35 @@ def test_small_matrices_are_those_of_numpy(motion: tuple[float, float, float], s
     np.testing.assert_allclose(carried(covariance, bTc), A @ covariance @ A.T, rtol=1e-9)
 
 
-def test_a_hallway_stays_open_along_its_axis() -> None:
+def hallway_points(seed: int) -> ScanPoints:
+    """All around in a bare hallway along x, 2 m wide."""
     angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     ranges = box_ranges(np.zeros(3), angles, np.array([-90.0, -1.0]), np.array([90.0, 1.0]))
-    ranges += np.random.default_rng(0).normal(0.0, NOISE, 720)
+    ranges += np.random.default_rng(seed).normal(0.0, NOISE, 720)
     ranges[ranges > 12.0] = np.inf
     scan = LaserScan(0.0, ranges, angles, 12.0, np.zeros(3))
-    points = scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
+    return scan_points(scan.ranges, LaserGeometry.from_scan(scan), NOISE)
+
+
+def test_a_hallway_stays_open_along_its_axis() -> None:
+    points = hallway_points(0)
     surfels = surfels_of(points, np.zeros(3))
     match = register(points, np.zeros(3), surfels, SIGMA, gate_schedule(0.1, SIGMA))
     along, across = match.information(np.eye(3))[0, 0], match.information(np.eye(3))[1, 1]
     # Noise of the normals alone would claim a thousandth of the information across
     assert along < 2e-4 * across
+
+
+def test_what_was_fitted_to_a_corner_on_one_side_alone_holds_no_scan() -> None:
+    seen, scan = hallway_points(0), hallway_points(1)
+    ahead = (seen.classes == SURFACE) & (np.abs(seen.points[:, 0] - 1.0) < 0.2)
+    c, s = np.cos(0.5), np.sin(0.5)
+    slanted = np.where(ahead[:, None], seen.normals @ [[c, s], [-s, c]], seen.normals)
+    surfels = surfels_of(replace(seen, normals=slanted), np.zeros(3))
+    match = register(scan, np.zeros(3), surfels, SIGMA, gate_schedule(0.1, SIGMA))
+    along, across = match.information(np.eye(3))[0, 0], match.information(np.eye(3))[1, 1]
+    assert along < 2e-4 * across
+    assert match.inliers > 0.7
 
 
 # --- Agreement ------------------------------------------------------------------------------------

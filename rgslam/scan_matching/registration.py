@@ -89,7 +89,16 @@ def register(
     mean = guess if prior_mean is None else np.asarray(prior_mean, float)
     return Registration(
         *_register(
-            guess, scan.points, scan.normals, scan.classes, known.surfels, sigma, gates, mean, prior
+            guess,
+            scan.points,
+            scan.normals,
+            scan.normal_variances,
+            scan.classes,
+            known.surfels,
+            sigma,
+            gates,
+            mean,
+            prior,
         )
     )
 
@@ -142,6 +151,7 @@ def _normal_equations(
     pose: FloatArray,
     points: FloatArray,
     normals: FloatArray,
+    variances: FloatArray,
     classes: npt.NDArray[np.uint8],
     surfels: Surfels,
     sigma: float,
@@ -190,6 +200,11 @@ def _normal_equations(
         # The surfel's normal in the scan's frame; 45 degrees keep the two faces of a wall apart
         jx, jy = c * nx + s * ny, -s * nx + c * ny
         if jx * normals[i, 0] + jy * normals[i, 1] < 0.7:
+            continue
+        # Nor may they differ by more than their noise and, at one metre, the gate allow: what was
+        # fitted to a corner on one of the sides would hold the scan where it is
+        turned = abs(jx * normals[i, 1] - jy * normals[i, 0])
+        if turned > gate + 3.0 * np.sqrt(map_variances[k] + variances[i]):
             continue
         e = nx * ex + ny * ey
         # Geman-McClure: what lies many sigmas off is another surface
@@ -277,6 +292,7 @@ def _register(
     guess: FloatArray,
     points: FloatArray,
     normals: FloatArray,
+    variances: FloatArray,
     classes: npt.NDArray[np.uint8],
     surfels: Surfels,
     sigma: float,
@@ -294,7 +310,7 @@ def _register(
     matched, rms, scatter = 0, np.inf, 1.0
     for gate in gates:
         H, noise, b, matched, sums = _normal_equations(
-            pose, points, normals, classes, surfels, sigma, gate
+            pose, points, normals, variances, classes, surfels, sigma, gate
         )
         if matched < 3:
             rms = np.inf
