@@ -10,9 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from rgslam.camera import StereoCamera
+from rgslam.config import RectangleConfig
 from rgslam.rectangles.alternatives import Readings, added_by_sides
 from rgslam.rectangles.detected import DetectedRectangle, covariance_fields, estimated
-from rgslam.rectangles.edges_beside import OtherEdge, edges_beside
+from rgslam.rectangles.edges_beside import OtherEdge, edges_beside, moved_side
 from rgslam.rectangles.gradients import GradientImage
 from rgslam.rectangles.maximum_likelihood import (
     CornerMeasurements,
@@ -21,7 +22,7 @@ from rgslam.rectangles.maximum_likelihood import (
 )
 from rgslam.rectangles.side_faces import of_side_faces
 from rgslam.rectangles.thin_frames import outer_border
-from rgslam.rectangles.verification import LARGEST_COST
+from rgslam.rectangles.verification import LARGEST_COST, measure_sides
 from rgslam.types import FloatArray, GreyImage
 
 _WIDENING = 1e-3  # m, a step small enough for a derivative
@@ -32,24 +33,85 @@ def with_borders(
     images: tuple[GreyImage, GreyImage],
     gradients: tuple[GradientImage, GradientImage],
     camera: StereoCamera,
+    config: RectangleConfig,
 ) -> tuple[DetectedRectangle, ...]:
-    """The same things as far as their thin frames reach; unsure where another edge may end one."""
-    framed = [_with_frame(one, images, _outward_slopes(one, camera), camera) for one in found]
-    others = [
-        edges_beside(gradients, _both(one), camera.fx / float(one.translation[2]))
-        if frame is None
-        else []
-        for one, frame in zip(found, framed, strict=True)
-    ]
+    """The same things as far as their thin frames reach, or as their casings leave them.
+
+    They are unsure where another edge may end one.
+    """
+    result: list[DetectedRectangle] = []
+    others: list[list[OtherEdge]] = []
+    for one in found:
+        frame = _with_frame(one, images, _outward_slopes(one, camera), camera)
+        beside = _edges_beside(one, gradients, camera) if frame is None else []
+        within = frame or _within_casing(one, beside, gradients, camera, config)
+        if frame is None and within is not one:
+            beside = _edges_beside(within, gradients, camera)
+        # A casing and its leaf that were both found are one thing now.
+        apart = [np.abs(within.left_px - known.left_px).max() for known in result]
+        if min(apart, default=np.inf) > config.refine_reach_px:
+            result.append(within)
+            others.append(beside)
     unsure = [k for k, beside in enumerate(others) if beside]
-    result = [frame or one for one, frame in zip(found, framed, strict=True)]
     for k, readings in zip(
         unsure,
-        _readings([found[k] for k in unsure], [others[k] for k in unsure], camera),
+        _readings([result[k] for k in unsure], [others[k] for k in unsure], camera),
         strict=True,
     ):
-        result[k] = _unsure_of_sides(found[k], readings, others[k])
+        result[k] = _unsure_of_sides(result[k], readings, others[k])
     return tuple(result)
+
+
+def _edges_beside(
+    found: DetectedRectangle, gradients: tuple[GradientImage, GradientImage], camera: StereoCamera
+) -> list[OtherEdge]:
+    return edges_beside(gradients, _both(found), camera.fx / float(found.translation[2]))
+
+
+def _within_casing(
+    found: DetectedRectangle,
+    others: Sequence[OtherEdge],
+    gradients: tuple[GradientImage, GradientImage],
+    camera: StereoCamera,
+    config: RectangleConfig,
+) -> DetectedRectangle:
+    """The same thing with those sides at another edge that are likelier there."""
+    corners = _both(found)
+    for side in range(4):
+        # Nearer ones, a fit would not tell apart
+        likelier = [
+            other
+            for other in others
+            if other.side == side
+            and other.odds > 1.0
+            and np.abs(other.outward_px).min() > config.refine_reach_px
+        ]
+        if likelier:
+            best = max(likelier, key=lambda other: other.odds)
+            corners = moved_side(corners, side, best.outward_px)
+    if (corners == _both(found)).all():
+        return found
+    left, right = (measure_sides(corners[i][None], gradients[i], config) for i in range(2))
+    if not np.isfinite([left.corners, right.corners]).all():
+        return found
+    measurements = CornerMeasurements.of(
+        left.corners,
+        left.covariances,
+        right_px=right.corners,
+        right_covariance=right.covariances,
+    )
+    fitted = fit_rectangles(measurements, camera)
+    if not fitted.converged[0] or fitted.costs[0] > max(LARGEST_COST, found.cost):
+        return found
+    return replace(
+        found,
+        **estimated(fitted, 0),
+        left_px=left.corners[0],
+        left_covariance=left.covariances[0],
+        right_px=right.corners[0],
+        right_covariance=right.covariances[0],
+        support=left.support[0],
+    )
 
 
 def _both(found: DetectedRectangle) -> FloatArray:

@@ -37,7 +37,7 @@ from rgslam.rectangles.row_residuals import as_calibrated
 from rgslam.rectangles.verification import (
     RightCorners,
     is_possible,
-    measure_in_right,
+    measure_sides,
     rectangle_probability,
 )
 from rgslam.stereo.disparity import DisparityImage, compute_disparity
@@ -97,7 +97,7 @@ def detect_rectangles(
     found: tuple[DetectedRectangle, ...] = ()
     if len(seen.quads):
         found = _accept(seen, config, rejected)
-        found = with_borders(found, (left, right), gradients, camera)
+        found = with_borders(found, (left, right), gradients, camera, config.rectangles)
     return Detection(found, {why: n for why, n in rejected.items() if n}, seen.line_count)
 
 
@@ -199,7 +199,7 @@ def _in_right_image(
     rejected[Rejection.NO_DEPTH] += int((~match.found).sum())
     rejected[Rejection.VERIFICATION_FAILED] += int((match.found & ~alike).sum())
     kept = np.flatnonzero(match.found & alike)
-    return quads.take(kept), measure_in_right(match.corners[kept], gradients[1], section)
+    return quads.take(kept), measure_sides(match.corners[kept], gradients[1], section)
 
 
 def _estimate(
@@ -275,9 +275,17 @@ def _odds(probability: FloatArray | float) -> FloatArray:
 def _allowing_for(readings: Readings, best: int, others: IntArray) -> dict[str, Any]:
     """The fields of a `DetectedRectangle` that other readings of the same thing change."""
     wider = widened(readings, best, others)
-    rotation, size = readings.estimates.rotations[best], readings.estimates.sizes[best]
-    pixels = wider.left_covariance, wider.right_covariance
-    return covariance_fields(rotation, size, wider.covariance, *pixels)
+    estimates = readings.estimates
+    rotation, size = estimates.rotations[best], estimates.sizes[best]
+    # A line that follows something else shows as a misfit: as unsure as it is large (Birge 1932).
+    scale = max(estimates.costs[best] / estimates.degrees_of_freedom[best], 1.0)
+    return covariance_fields(
+        rotation,
+        size,
+        scale * wider.covariance,
+        scale * wider.left_covariance,
+        scale * wider.right_covariance,
+    )
 
 
 def _rectangle(

@@ -15,11 +15,11 @@ import numpy as np
 
 from rgslam.camera import StereoCamera
 from rgslam.rectangles.detected import DetectedRectangle
-from rgslam.rectangles.edges_beside import THICKEST
 from rgslam.rectangles.least_squares import OUTWARD
 from rgslam.types import FloatArray
 
-_THICKNESS = THICKEST / math.sqrt(3.0)  # m, root mean square, where all up to it are as likely
+_THICKEST = 0.06  # m, of what hangs on walls or stands on desks
+_THICKNESS = _THICKEST / math.sqrt(3.0)  # m, root mean square, where all up to it are as likely
 _ALL_AROUND = 0.5  # of what the side itself moves
 _STEP = 1e-3  # m, small enough for a derivative
 

@@ -48,21 +48,21 @@ class RightCorners:
     support: FloatArray  # (k, 4), share of each side with an edge
 
 
-def measure_in_right(
-    predicted: FloatArray, right: GradientImage, config: RectangleConfig
+def measure_sides(
+    predicted: FloatArray, gradient: GradientImage, config: RectangleConfig
 ) -> RightCorners:
     """Fit lines to the edges near predicted sides, intersect them to corners.
 
     This is where textureless things get their disparity from: their border.
 
     Args:
-        predicted: Corners (k, 4, 2), px, right image, to a few pixels.
-        right: Gradient of the right image.
+        predicted: Corners (k, 4, 2), px, to a few pixels.
+        gradient: Of the image.
         config: Reach of the search, errors of edges.
     """
     count = len(predicted)
     sides = np.stack([predicted, np.roll(predicted, -1, axis=1)], axis=2).reshape(-1, 2, 2)
-    lines = refine_sides(sides, right, config)
+    lines = refine_sides(sides, gradient, config)
     corners, covariances = corners_of_lines(
         lines, np.arange(4 * count).reshape(count, 4), config.corner_sigma_px
     )
