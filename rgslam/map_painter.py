@@ -8,6 +8,7 @@ Matplotlib takes longer to load than a short log takes to map, so the process st
 from __future__ import annotations
 
 import logging
+import os
 from concurrent.futures import Future
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from rgslam.rg_map import RGMap
 
 log = logging.getLogger(__name__)
+
+#: Steps of priority that the process stands back; when it draws, nobody else has much to do.
+_POLITE = 5
 
 
 class MapPainter:
@@ -83,6 +87,8 @@ def _submitted(pool: ProcessPoolExecutor, rg_map: RGMap) -> Future[bytes]:
 
 def _load() -> None:
     """What this process can do until there is a map."""
+    if hasattr(os, "nice"):  # the threads that make the map come first
+        os.nice(_POLITE)
     from rgslam.compile_ahead import compile_later_stages
 
     compile_later_stages()
