@@ -99,7 +99,10 @@ def _moving(
         if not _in_runs(asked).any():
             return np.zeros(len(points), np.bool_)  # all of it stands, which is the rule
     for m in range(len(poses)):
-        left = _left(points, classes, old_points[m], old_classes[m], old_moving[m], poses[m], polar)
+        left = _left(
+            points, classes, old_points[m], old_classes[m], old_moving[m], poses[m], polar,
+            _around(points, asked & ~contradicted),
+        )  # fmt: skip
         for i in range(len(points)):
             if asked[i] and not contradicted[i]:
                 contradicted[i] = _near(points[i], left)
@@ -115,19 +118,41 @@ def _left(
     old_moving: Mask,
     pose: FloatArray,
     polar: FloatArray,
+    box: FloatArray,
 ) -> FloatArray:
-    """Places (k, 2), seen from now, that something has left since an earlier scan."""
+    """Places (k, 2), seen from now, that something has left since an earlier scan.
+
+    All of those in a box: lower and upper corner (2, 2).
+    """
     asked = _located(old_points, old_classes, polar)
+    wanted = np.zeros(len(old_points), np.bool_)
     places = np.empty(old_points.shape)
     through = np.zeros(len(old_points), np.bool_)
     c, s = np.cos(pose[2]), np.sin(pose[2])
     for i in range(len(old_points)):
         dx, dy = old_points[i, 0] - pose[0], old_points[i, 1] - pose[1]
-        places[i, 0], places[i, 1] = c * dx + s * dy, -s * dx + c * dy
-        if asked[i]:
-            x, y = places[i]
+        x, y = places[i, 0], places[i, 1] = c * dx + s * dy, -s * dx + c * dy
+        if box[0, 0] <= x <= box[1, 0] and box[0, 1] <= y <= box[1, 1]:
+            # With its neighbours, that a run that leaves the box is known for one
+            wanted[max(i - _LEAST_RUN + 1, 0) : i + _LEAST_RUN] = True
+    for i in range(len(old_points)):
+        if wanted[i] and asked[i]:
+            x, y = places[i, 0], places[i, 1]
             through[i] = look(x, y, points, classes, polar, PLACE_TOLERANCE) == THROUGH
     return places[_in_runs(through) | old_moving]
+
+
+@njit(cache=True, nogil=True)
+def _around(points: FloatArray, asked: Mask) -> FloatArray:
+    """Lower and upper corner (2, 2) of what lies within a stride of the points asked."""
+    box = np.empty((2, 2))
+    box[0], box[1] = np.inf, -np.inf
+    for i in range(len(points)):
+        if asked[i]:
+            for k in range(2):
+                box[0, k] = min(box[0, k], points[i, k] - _STRIDE)
+                box[1, k] = max(box[1, k], points[i, k] + _STRIDE)
+    return box
 
 
 @njit(cache=True, nogil=True)
