@@ -69,13 +69,14 @@ def compact_lines(
     per_metre = len(hits.points) / max(sum(line.length for line in lines), _SHORTEST)
     found = []
     for line in sorted([*lines, *_short_edges(outline)], key=lambda line: -line.length):
-        strip = _strip(hits.points, frame_of(line))
-        seen = _share(line, hits, strip, everything)
+        frame = frame_of(line)
+        strip = _strip(hits.points, frame)
+        seen = _share(frame, hits, strip, everything)
         if seen < _OWN:  # hardly any beam ended there: the grid knows better
             if line.length >= _SHORTEST:
                 found.append(line)
             continue
-        if _share(line, hits, strip, left) < _OWN * seen:
+        if _share(frame, hits, strip, left) < _OWN * seen:
             continue
         for _ in range(_ROUNDS):
             line = _grown(line, hits, strip, left, posts, polygon, gap)
@@ -179,11 +180,11 @@ def _by_step(
     return steps[:found], t[:found], d[:found]
 
 
-def _share(line: LineSegment, hits: Hits, strip: IntArray, left: Mask) -> float:
+def _share(frame: FloatArray, hits: Hits, strip: IntArray, left: Mask) -> float:
     """Share of the steps along a line on which one of the points ended that are left."""
-    limits = 0.0, line.length
-    steps, _, _ = _by_step(hits.points, hits.rays, strip, left, frame_of(line), limits)
-    return len(steps) * _STEP / line.length
+    length = float(frame[4])
+    steps, _, _ = _by_step(hits.points, hits.rays, strip, left, frame, (0.0, length))
+    return len(steps) * _STEP / length
 
 
 @nb.njit(cache=True)
@@ -234,8 +235,9 @@ def _grown(
         outline: of the region.
         gap: m, that a wall may have.
     """
-    limits = _limits(frame_of(line), gateways)
-    steps, t, d = _by_step(hits.points, hits.rays, strip, left, frame_of(line), limits)
+    frame = frame_of(line)
+    limits = _limits(frame, gateways)
+    steps, t, d = _by_step(hits.points, hits.rays, strip, left, frame, limits)
     runs = _runs(line, steps, outline, gap)
     inside = (t >= 0.0) & (t <= line.length)
     run = np.argmax(np.bincount(runs[inside])) if inside.any() else -1
