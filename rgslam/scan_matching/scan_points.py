@@ -146,18 +146,19 @@ def _stands_out(ranges: FloatArray, i: int, hits: int, full_circle: bool) -> boo
 
 
 @njit(cache=True, nogil=True)
-def _fitted_line(sums: FloatArray) -> tuple[float, float, float, float]:
+def _fitted_line(sums: FloatArray, row: int) -> tuple[float, float, float, float]:
     """Variances across and along the line through a point and others, and its normal x, y.
 
     Total least squares: the normal is the eigenvector of the smaller eigenvalue.
 
     Args:
-        sums: (6,), number of the others, and sums of their x, y, xx, xy, yy from the point.
+        sums: (k, 6), number of the others, and sums of their x, y, xx, xy, yy from the point.
+        row: of the sums.
     """
-    m = sums[0] + 1.0
-    cxx = sums[3] / m - sums[1] * sums[1] / m**2
-    cxy = sums[4] / m - sums[1] * sums[2] / m**2
-    cyy = sums[5] / m - sums[2] * sums[2] / m**2
+    m, x, y = sums[row, 0] + 1.0, sums[row, 1], sums[row, 2]
+    cxx = sums[row, 3] / m - x * x / m**2
+    cxy = sums[row, 4] / m - x * y / m**2
+    cyy = sums[row, 5] / m - y * y / m**2
     half_trace = 0.5 * (cxx + cyy)
     root = max(np.sqrt(0.25 * (cxx - cyy) ** 2 + cxy * cxy), 1e-12)
     # Across the wall, whose direction is half the angle of (cxx - cyy, 2 cxy)
@@ -198,14 +199,16 @@ def _points_and_normals(
             points[i, 1] = bTl[1] + ranges[i] * np.sin(a)
             classes[i] = 1
     step = abs(angles[1] - angles[0])
+    # By side and of both: points and sums of x, y, xx, xy, yy
+    sums = np.zeros((3, 6))
     for i in range(n):
         if classes[i] == 0:
             continue
         # Far away the beams are wide apart: the support grows until it holds three of them even
         # where they graze the wall (up to about 75 degrees of incidence).
         support = max(_SUPPORT, 4.0 * ranges[i] * step)
-        sums = np.zeros((2, 6))  # by side: points and sums of x, y, xx, xy, yy
         for side in range(2):
+            points_in, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(1, _NEIGHBOURS + 1):
                 j = i + (2 * side - 1) * k
                 if full_circle:
@@ -217,13 +220,17 @@ def _points_and_normals(
                 dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
                 if dx * dx + dy * dy > support * support:
                     break
-                sums[side, 0] += 1.0
-                sums[side, 1] += dx
-                sums[side, 2] += dy
-                sums[side, 3] += dx * dx
-                sums[side, 4] += dx * dy
-                sums[side, 5] += dy * dy
-        count = int(sums[0, 0] + sums[1, 0])
+                points_in += 1.0
+                sx += dx
+                sy += dy
+                sxx += dx * dx
+                sxy += dx * dy
+                syy += dy * dy
+            sums[side, 0], sums[side, 1], sums[side, 2] = points_in, sx, sy
+            sums[side, 3], sums[side, 4], sums[side, 5] = sxx, sxy, syy
+        for k in range(6):
+            sums[2, k] = sums[0, k] + sums[1, k]
+        count = int(sums[2, 0])
         # Where beams lie farther apart than that, an edge is somewhere between two of them, and
         # what one of them hits moves along with the robot
         located = ranges[i] * step < _SUPPORT
@@ -231,14 +238,14 @@ def _points_and_normals(
             if located and _stands_out(ranges, i, 1 + count, full_circle):
                 classes[i] = 3
             continue
-        small, large, nx, ny = _fitted_line(sums[0] + sums[1])
+        small, large, nx, ny = _fitted_line(sums, 2)
         m = count + 1.0
         if not _is_straight(small, large, m, sigma):
             # Beside a corner the wall goes on to one side alone
             known = 0.0
             for side in range(2):
                 if sums[side, 0] >= 2.0:
-                    across, along, ax, ay = _fitted_line(sums[side])
+                    across, along, ax, ay = _fitted_line(sums, side)
                     own = sums[side, 0] + 1.0
                     if _is_straight(across, along, own, sigma) and own * along > known:
                         known, large, m, nx, ny = own * along, along, own, ax, ay
