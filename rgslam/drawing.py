@@ -54,9 +54,18 @@ _OCCUPIED, _UNKNOWN, _FREE = "#2b2f36", "#e9ecef", "#ffffff"
 _PATH, _TEXT, _QUIET_TEXT = "#59636e", "#1f2328", "#59636e"
 _SIGHT = "#c65bb6"
 
-_DrawCells = Callable[
-    [Any, npt.NDArray[np.bool_], tuple[float, float, float, float], str, float], None
-]
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Cells of one colour."""
+
+    mask: npt.NDArray[np.bool_]
+    extent: tuple[float, float, float, float]  # left, right, low, high, m
+    colour: str
+    zorder: float
+
+
+_DrawCells = Callable[[Any, _Cells], None]
 
 _REGION_LABEL_SIZES = (13.0, 11.0, 9.5)  # pt, the largest that fits
 _GATEWAY_LABEL_SIZE = 10.0  # pt
@@ -311,45 +320,29 @@ def _draw_grid(ax: Any, grid: OccupancyGrid, draw_cells: _DrawCells) -> None:
     x, y = (float(value) for value in grid.origin)
     extent = (x, x + columns, y, y + rows)
     for mask, colour, zorder in ((free & ~occupied, _FREE, 1), (occupied, _OCCUPIED, 3)):
-        draw_cells(ax, mask, extent, colour, zorder)
+        draw_cells(ax, _Cells(mask, extent, colour, zorder))
 
 
-def _as_image(
-    ax: Any,
-    mask: npt.NDArray[np.bool_],
-    extent: tuple[float, float, float, float],
-    colour: str,
-    zorder: float,
-) -> None:
+def _as_image(ax: Any, cells: _Cells) -> None:
     """As fine as whatever the axes are drawn on."""
-    image = _painted(mask, colour)
-    ax.imshow(image, extent=extent, origin="lower", interpolation="nearest", zorder=zorder)
+    image = _painted(cells.mask, cells.colour)
+    ax.imshow(
+        image, extent=cells.extent, origin="lower", interpolation="nearest", zorder=cells.zorder
+    )
 
 
-def _as_pixels(
-    ax: Any,
-    mask: npt.NDArray[np.bool_],
-    extent: tuple[float, float, float, float],
-    colour: str,
-    zorder: float,
-) -> None:
+def _as_pixels(ax: Any, cells: _Cells) -> None:
     """The same for one canvas of known size, in a tenth of the time."""
-    ax.add_artist(_Cells(mask, extent, colour, zorder))
+    ax.add_artist(_PaintedCells(cells))
 
 
-class _Cells(Artist):
-    """Cells of one colour, painted pixel by pixel of an Agg canvas."""
+class _PaintedCells(Artist):
+    """Cells painted pixel by pixel of an Agg canvas."""
 
-    def __init__(
-        self,
-        mask: npt.NDArray[np.bool_],
-        extent: tuple[float, float, float, float],
-        colour: str,
-        zorder: float,
-    ) -> None:
+    def __init__(self, cells: _Cells) -> None:
         super().__init__()
-        self._mask, self._extent, self._colour = mask, extent, colour
-        self.set_zorder(zorder)
+        self._cells = cells
+        self.set_zorder(cells.zorder)
 
     def draw(self, renderer: Any) -> None:
         """Each pixel of the axes is as the cell at its middle."""
@@ -358,14 +351,15 @@ class _Cells(Artist):
         to_w = self.axes.transData.inverted()
         x, _ = to_w.transform(np.column_stack([np.arange(x0, x1) + 0.5, np.zeros(x1 - x0)])).T
         _, y = to_w.transform(np.column_stack([np.zeros(y1 - y0), np.arange(y0, y1) + 0.5])).T
-        left, right, low, high = self._extent
-        rows, columns = self._mask.shape
+        left, right, low, high = self._cells.extent
+        mask = self._cells.mask
+        rows, columns = mask.shape
         row = np.floor((y - low) / (high - low) * rows).astype(int)
         column = np.floor((x - left) / (right - left) * columns).astype(int)
         within = ((row >= 0) & (row < rows))[:, None] & ((column >= 0) & (column < columns))
-        shown = self._mask[row.clip(0, rows - 1)[:, None], column.clip(0, columns - 1)] & within
+        shown = mask[row.clip(0, rows - 1)[:, None], column.clip(0, columns - 1)] & within
         gc = renderer.new_gc()
-        renderer.draw_image(gc, x0, y0, _painted(shown, self._colour))
+        renderer.draw_image(gc, x0, y0, _painted(shown, self._cells.colour))
         gc.restore()
 
 
