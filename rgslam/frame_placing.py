@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rgslam.geometry import adjoint, between, compose, interpolate, inverse
+from rgslam.geometry import adjoint, between, compose, interpolate
 from rgslam.observations import FrameObservations, PlacedFrame
 from rgslam.odometry import OdometryBuffer, constant_velocity_covariance, odometry_covariance
+from rgslam.scan_matching import carried
 from rgslam.types import FloatArray
 
 #: s, how far images may be from the next scan, and how late they may come: half of what the
@@ -129,11 +130,11 @@ class FramePlacer:
         share = (frame.stamp - a.stamp) / (b.stamp - a.stamp) if b.stamp > a.stamp else 1.0
         aTf = _way(self._odometry.at(frame.stamp), a, b, share)
         fTb = between(aTf, between(a.kTb, b.kTb))
-        back, ahead = adjoint(inverse(aTf)), adjoint(fTb)
+        ahead = adjoint(fTb)
         # The errors at a and b may be alike (one local map) or not: this holds for both. In
         # between, the motion is a bridge that is held at its ends.
         bridge = share * (1.0 - share) * self._odometry_scale(a, b) * b.step
-        covariance = (1.0 - share) * back @ a.covariance @ back.T + ahead @ (
+        covariance = (1.0 - share) * carried(a.covariance, aTf) + ahead @ (
             share * b.covariance + bridge
         ) @ ahead.T
         return PlacedFrame(frame, a.keyframe, compose(a.kTb, aTf), covariance)
@@ -161,8 +162,7 @@ class FramePlacer:
         else:
             aTf = between(a.oTb, oTf)
             step = odometry_covariance(aTf)
-        back = adjoint(inverse(aTf))
-        covariance = back @ a.covariance @ back.T + step
+        covariance = carried(a.covariance, aTf) + step
         return PlacedFrame(frame, a.keyframe, compose(a.kTb, aTf), covariance)
 
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rgslam.geometry import adjoint, between, inverse
-from rgslam.scan_matching import OPEN_AXES, inverted
+from rgslam.geometry import between
+from rgslam.scan_matching import OPEN_AXES, carried, inverted
 from rgslam.types import EdgeKind, FloatArray, PoseEdge
 
 #: Share of the two errors that is in the way between them. Both would be, if the two were matched
@@ -81,8 +81,7 @@ class MatchEdges:
         """
         here = inverted(laser + OPEN_AXES)
         there = self._own[i] if self._matched else here
-        A = adjoint(inverse(iTj))
-        return inverted(_LEFT * (here + A @ there @ A.T))
+        return inverted(_LEFT * (here + carried(there, iTj)))
 
     def edges(self, poses: FloatArray, far: int | None) -> list[PoseEdge]:
         """Edges of the newest keyframe to its neighbour and to the oldest in sight.

@@ -16,7 +16,7 @@ from enum import Enum
 import numpy as np
 
 from rgslam.config import LoopClosingConfig
-from rgslam.geometry import adjoint, between, compose, inverse
+from rgslam.geometry import between, compose, inverse
 from rgslam.scan_matching import (
     OPEN_AXES,
     SURFACE,
@@ -25,8 +25,10 @@ from rgslam.scan_matching import (
     ScanStore,
     agreement,
     build_surfel_map,
+    carried,
     correlate,
     gate_schedule,
+    inverted,
     noise_shape,
     register,
     thinned,
@@ -224,8 +226,7 @@ def open_axes_as_predicted(
     The weighted mean of both. The prediction counts as no better than the smallest window, so that
     what the loop knows to centimetres stays its own: evidence of the graph is not fed back to it.
     """
-    A = adjoint(inverse(predicted))
-    prior = A @ at_anchor @ A.T + window**2 * np.eye(3)
+    prior = carried(at_anchor, predicted) + window**2 * np.eye(3)
     gain = covariance @ np.linalg.inv(covariance + prior)
     return compose(iTj, gain @ between(iTj, predicted))
 
@@ -262,9 +263,8 @@ def _loop_covariance(
     to what the scan is off by: an anchor in a doorway may see too little to know its own heading.
     """
     information = fine.information(noise_shape(scan, view.store.geometry.bTl, view.noise_shares))
-    here = np.linalg.inv(information / view.variance_factor + OPEN_AXES)
-    A = adjoint(inverse(iTj))
-    return np.asarray(here + A @ view.own_covariances[anchor] @ A.T, np.float64)
+    here = inverted(information / view.variance_factor + OPEN_AXES)
+    return here + carried(view.own_covariances[anchor], iTj)
 
 
 def sharing_one_scan(candidates: Sequence[LoopCandidate]) -> list[LoopCandidate]:

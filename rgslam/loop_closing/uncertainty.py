@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
+from rgslam.scan_matching import carry
 from rgslam.types import FloatArray, IntArray, PoseEdge
 
 #: m, lever arm that makes radians comparable with metres when paths are compared: a scan matcher
@@ -155,20 +156,7 @@ def _step(
         a, b = m // 3, m % 3
         # A backward edge is child_T_mother, its covariance lives at the mother
         child[a, b] = mother[a, b] + (0.0 if forward else step[a, b])
-    _carry(child, x, y, c, s)
+    carry(child, x, y, c, s)
     if forward:
         for m in range(9):
             child[m // 3, m % 3] += step[m // 3, m % 3]
-
-
-@njit(cache=True, nogil=True)
-def _carry(covariance: FloatArray, x: float, y: float, c: float, s: float) -> None:
-    """A S A^T in place, with the adjoint A of the pose (x, y, angle of cosine c and sine s)."""
-    for k in range(3):  # rows: A S
-        a, b, t = covariance[0, k], covariance[1, k], covariance[2, k]
-        covariance[0, k] = c * a - s * b + y * t
-        covariance[1, k] = s * a + c * b - x * t
-    for k in range(3):  # columns: (A S) A^T
-        a, b, t = covariance[k, 0], covariance[k, 1], covariance[k, 2]
-        covariance[k, 0] = c * a - s * b + y * t
-        covariance[k, 1] = s * a + c * b - x * t

@@ -11,15 +11,12 @@ from rgslam.scan_matching.agreement import Agreement, agreement
 from rgslam.scan_matching.correlative import CorrelativeMatch, correlate
 from rgslam.scan_matching.moving import PLACE_TOLERANCE, SeenScan, moving_points
 from rgslam.scan_matching.noise import BeamCorrelation, IncidenceNoise, noise_shape
+from rgslam.scan_matching.pose_covariances import OPEN_AXES, carried, carry, inverted, solve
 from rgslam.scan_matching.registration import (
-    OPEN_AXES,
     Registration,
-    carried,
     gate_schedule,
-    inverted,
     line_residuals,
     register,
-    solve,
 )
 from rgslam.scan_matching.scan_points import (
     EDGE,
@@ -55,6 +52,7 @@ __all__ = [
     "agreement",
     "build_surfel_map",
     "carried",
+    "carry",
     "correlate",
     "gate_schedule",
     "inverted",

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rgslam.scan_matching.pose_covariances import OPEN_AXES, solve
 from rgslam.scan_matching.scan_points import EDGE, SURFACE, ScanPoints
 from rgslam.scan_matching.surfel_map import SurfelMap, Surfels
 from rgslam.types import FloatArray
@@ -55,9 +56,7 @@ def gate_schedule(start: float, sigma: float, iterations: int = 12) -> FloatArra
     return np.maximum(end, max(start, end) * 0.6 ** np.arange(iterations))
 
 
-#: Information (3, 3) of what no wall holds, as along a featureless hallway: 10 m and 10 rad.
-OPEN_AXES = np.diag([1e-2, 1e-2, 1e-2])
-#: The same for what is only looked at: 1 km.
+#: Information of what is only looked at: 1 km.
 _NOTHING = np.diag([1e-6, 1e-6, 1e-6])
 
 
@@ -236,55 +235,6 @@ def _normal_equations(
     for A in (H, noise):
         A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
     return H, noise, b, matched, sums
-
-
-@njit(cache=True, nogil=True)
-def inverted(A: FloatArray) -> FloatArray:
-    """Inverse of a symmetric matrix (3, 3), in a tenth of the time that NumPy takes."""
-    inverse, unit = np.empty((3, 3)), np.zeros(3)
-    for k in range(3):
-        unit[k] = 1.0
-        inverse[k] = solve(A, unit)
-        unit[k] = 0.0
-    return inverse
-
-
-@njit(cache=True, nogil=True)
-def solve(A: FloatArray, b: FloatArray) -> FloatArray:
-    """Solution (3,) of A x = b for a positive definite A (3, 3), by its adjugate.
-
-    Written out, as Numba takes ten seconds to compile `np.linalg.solve`.
-    """
-    c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[1, 2]
-    c01 = A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2]
-    c02 = A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
-    c11 = A[0, 0] * A[2, 2] - A[0, 2] * A[0, 2]
-    c12 = A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
-    c22 = A[0, 0] * A[1, 1] - A[0, 1] * A[0, 1]
-    det = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
-    return np.array(
-        [
-            (c00 * b[0] + c01 * b[1] + c02 * b[2]) / det,
-            (c01 * b[0] + c11 * b[1] + c12 * b[2]) / det,
-            (c02 * b[0] + c12 * b[1] + c22 * b[2]) / det,
-        ]
-    )
-
-
-@njit(cache=True, nogil=True)
-def carried(covariance: FloatArray, bTc: FloatArray) -> FloatArray:
-    """Covariance (3, 3) of a pose, moved along with it by bTc (3,): to the tangent space at c."""
-    c, s = np.cos(bTc[2]), np.sin(bTc[2])
-    A, moved = np.zeros((3, 3)), np.zeros((3, 3))  # the adjoint of cTb
-    A[0, 0], A[0, 1], A[0, 2] = c, s, s * bTc[0] - c * bTc[1]
-    A[1, 0], A[1, 1], A[1, 2] = -s, c, c * bTc[0] + s * bTc[1]
-    A[2, 2] = 1.0
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                for m in range(3):
-                    moved[i, j] += A[i, k] * covariance[k, m] * A[j, m]
-    return moved
 
 
 @njit(cache=True, nogil=True)
